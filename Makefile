@@ -1,0 +1,133 @@
+# Set-up and checks. `make help` lists the targets; only Python 3.11 or newer is needed beforehand.
+#
+# The environment lives in .venv and is made by the targets that need it: again when the
+# interpreter, pyproject.toml or a lock file in requirements/ has changed, and not otherwise.
+
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: help demo test docs benchmark lock clean FORCE
+
+# `make test PYTHON=/opt/python/bin/python3` chooses another interpreter.
+ifndef PYTHON
+PYTHON := $(shell for p in python3.11 python3 python3.12 python3.13 python3.14; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; exit; }; \
+	done; echo python3)
+endif
+VENV := .venv
+BIN := $(VENV)/bin
+# Arguments for pytest: `make test PYTEST_ARGS='-m "not slow"'`.
+PYTEST_ARGS ?=
+# Arguments for `swerve demo`.
+DEMO_ARGS ?=
+# Arguments for the resolver: `make lock LOCK_ARGS=--upgrade` takes the newest releases.
+LOCK_ARGS ?=
+
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq
+LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
+
+help:  ## List the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 12
+
+demo: $(VENV)/runtime.stamp  ## Run the quick start: infer a constraint from bundled demonstrations
+	@$(BIN)/swerve demo $(DEMO_ARGS)
+
+test: $(VENV)/dev.stamp  ## Check style, types and behaviour; all failures are shown
+	@failed=; \
+	run() { echo "==> $$*"; $(BIN)/python -m "$$@" || failed="$$failed $$1"; }; \
+	run ruff check .; \
+	run ruff format --check .; \
+	run pyright; \
+	run pytest $(PYTEST_ARGS); \
+	if [ -n "$$failed" ]; then echo "==> failed:$$failed" >&2; exit 1; fi
+
+docs: $(VENV)/dev.stamp  ## Build the documentation into site/; a broken link is an error
+	@echo "==> mkdocs build"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "the documentation is in site/index.html"
+
+benchmark: $(VENV)/benchmark.stamp  ## Set up what benchmarks/ compares with (torch, Stable-Baselines3)
+	@echo "ready; for instance: $(BIN)/python benchmarks/stable_baselines.py"
+
+clean:  ## Remove the environment and everything that is built
+	rm -rf $(VENV) $(LOCK_VENV) build dist site .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# -- the environment ---------------------------------------------------------------------------
+
+# Changes, and so makes everything below again, when an existing .venv would be of no use: another
+# Python, or a repository that was moved. The base interpreter makes the environment, because the
+# one found first may be that of the .venv which is about to be replaced.
+$(VENV)/interpreter: FORCE
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "Swerve needs Python 3.11 or newer; $(PYTHON) is" \
+			"$$("$(PYTHON)" -c 'import sys; print("Python", sys.version.split()[0])' 2>/dev/null || echo "not there")." \
+			"Name one that is: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@id=$$("$(PYTHON)" -c 'import os, sys; print(sys.version.split()[0], sys.base_prefix, os.getcwd())'); \
+	if [ "$$(cat $@ 2>/dev/null)" != "$$id" ]; then \
+		base=$$("$(PYTHON)" -c 'import sys; print(sys._base_executable)'); \
+		echo "==> Creating $(VENV) with $$base"; \
+		rm -rf $(VENV); \
+		"$$base" -m venv $(VENV) || { rm -rf $(VENV); \
+			echo "$$base cannot create environments; on Debian and Ubuntu install python3-venv" >&2; exit 1; }; \
+		echo "$$id" > $@; \
+	fi
+
+$(VENV)/runtime.stamp: requirements/runtime.txt pyproject.toml $(VENV)/interpreter
+	@echo "==> Installing Swerve and what it runs on (a minute or two; 1 GB on disk)"
+	@$(LOCKED) $<
+	@$(PIP) install --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/dev.stamp: requirements/dev.txt $(VENV)/runtime.stamp
+	@echo "==> Installing the tools for tests and documentation"
+	@$(LOCKED) $<
+	@touch $@
+
+# The lock holds no CUDA packages, so that pip stops instead of fetching gigabytes that a benchmark
+# on the CPU does not use.
+$(VENV)/benchmark.stamp: requirements/benchmark.txt $(VENV)/runtime.stamp
+	@echo "==> Installing torch (CPU build) and Stable-Baselines3"
+	@$(LOCKED) $< || { printf '%s\n' \
+		"" \
+		"The lock is for torch's CPU build. On Linux that is not on the default index: either set" \
+		"PIP_EXTRA_INDEX_URL to the CPU index that torch's installation page names (x86-64, Python 3.11)," \
+		"or take the default build, unlocked and with several GB of CUDA packages:" \
+		"    $(BIN)/python -m pip install '.[benchmark]'" >&2; exit 1; }
+	@touch $@
+
+# -- the lock files ----------------------------------------------------------------------------
+
+LOCK_VENV := .lock-venv
+UV_VERSION := 0.13.9
+# torch 2.13.0+cpu for CPython 3.11 on Linux x86-64, which the default index does not list.
+TORCH_CPU_HASH := 6746dbcbeb526eb61330b76b41ff1b4eb848951103a892eeb080dfa2b264667b
+# One version of each package for every Python from 3.11 on; wheels alone, with their hashes.
+COMPILE := $(LOCK_VENV)/bin/uv pip compile --no-config --quiet --python-version 3.11 \
+	--generate-hashes --only-binary :all: --no-emit-package pip \
+	--custom-compile-command "make lock" $(LOCK_ARGS)
+UNIVERSAL := $(COMPILE) --universal --fork-strategy fewest
+
+lock: $(VENV)/interpreter  ## Resolve pyproject.toml into requirements/*.txt again
+	@echo "==> Installing uv $(UV_VERSION) into $(LOCK_VENV)"
+	@$(BIN)/python -m venv $(LOCK_VENV)
+	@$(LOCK_VENV)/bin/python -m pip --disable-pip-version-check -qq install uv==$(UV_VERSION)
+	@echo "==> Resolving requirements/runtime.txt, dev.txt and benchmark.txt"
+	@$(UNIVERSAL) pyproject.toml requirements/build.in -o requirements/runtime.txt
+	@$(UNIVERSAL) pyproject.toml requirements/build.in --extra dev --extra docs \
+		-c requirements/runtime.txt -o requirements/dev.txt
+	@# Resolved as if for macOS, where torch has no CUDA dependencies to leave out; then torch is
+	@# split into the CPU build for Linux on x86-64 and the default one for the rest.
+	@rm -f requirements/benchmark.txt
+	@MACOSX_DEPLOYMENT_TARGET=14.0 $(COMPILE) --python-platform aarch64-apple-darwin pyproject.toml requirements/build.in \
+		requirements/benchmark.in --extra benchmark -c requirements/dev.txt -o requirements/benchmark.txt
+	@awk '/^torch==/ { \
+			cpu = "sys_platform == \"linux\" and platform_machine == \"x86_64\""; \
+			rest = "sys_platform != \"linux\" or platform_machine != \"x86_64\""; \
+			print $$1 "+cpu ; " cpu " \\\n    --hash=sha256:$(TORCH_CPU_HASH)"; \
+			print $$1 " ; " rest " \\"; next \
+		} { print }' requirements/benchmark.txt > requirements/benchmark.tmp
+	@mv requirements/benchmark.tmp requirements/benchmark.txt
+	@rm -rf $(LOCK_VENV)
