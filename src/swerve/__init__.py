@@ -1,0 +1,81 @@
+"""Swerve infers which constraint a demonstrator is obeying.
+
+    Problem --learn--> Nominal --sample--> Evidence --infer(demonstrations)--> Inference
+
+The public names below are bound on first use, so that `import swerve` is quick and inference from
+stored evidence never imports JAX.
+"""
+
+TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
+
+if TYPE_CHECKING:
+    from swerve.constraints import Box, Constraint, Predicate
+    from swerve.demonstrations import (
+        Demonstration,
+        read_demonstrations,
+        read_tasks,
+        write_demonstrations,
+    )
+    from swerve.demonstrators.boltzmann import demonstrate
+    from swerve.estimators import hoeffding_error, hoeffding_sample_size
+    from swerve.evidence import Evidence
+    from swerve.hypotheses import HypothesisSet, grid
+    from swerve.inference import Inference, infer
+    from swerve.mdp import MDP, rk4
+    from swerve.nominal import Nominal, learn, load_nominal, save_nominal
+    from swerve.problem import Problem
+    from swerve.sampling import sample
+    from swerve.solvers.grid import Grid
+    from swerve.solvers.ppo import PPO
+    from swerve.space import StateSpace, Task
+    from swerve.systems.pendulum import Pendulum
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Box": "constraints",
+    "Constraint": "constraints",
+    "Demonstration": "demonstrations",
+    "Evidence": "evidence",
+    "Grid": "solvers.grid",
+    "HypothesisSet": "hypotheses",
+    "Inference": "inference",
+    "MDP": "mdp",
+    "Nominal": "nominal",
+    "PPO": "solvers.ppo",
+    "Pendulum": "systems.pendulum",
+    "Predicate": "constraints",
+    "Problem": "problem",
+    "StateSpace": "space",
+    "Task": "space",
+    "demonstrate": "demonstrators.boltzmann",
+    "grid": "hypotheses",
+    "hoeffding_error": "estimators",
+    "hoeffding_sample_size": "estimators",
+    "infer": "inference",
+    "learn": "nominal",
+    "load_nominal": "nominal",
+    "read_demonstrations": "demonstrations",
+    "read_tasks": "demonstrations",
+    "rk4": "mdp",
+    "sample": "sampling",
+    "save_nominal": "nominal",
+    "write_demonstrations": "demonstrations",
+}
+
+__all__ = list(_HOMES)
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name's module on first use."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'swerve' has no attribute {name!r}")
+    import importlib
+
+    value = getattr(importlib.import_module(f"swerve.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

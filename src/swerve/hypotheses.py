@@ -1,0 +1,330 @@
+"""Sets of hypothesised constraints, and which of them a batch of trajectories enters.
+
+The result for N trajectories and H hypotheses is packed: one bit per (trajectory, hypothesis),
+[N, ceil(H / 8)] bytes, bit h & 7 of byte h >> 3 (NumPy's bitorder="little"). On a grid the cell
+of a state is index arithmetic,
+
+    cell_d = floor((x_d - low_d) / width_d),
+
+and a segment is cut where it crosses grid lines, so the cost does not depend on H.
+
+Shapes: N trajectories, T steps, n state dimensions, d grid dimensions, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from swerve.constraints import (
+    Box,
+    Constraint,
+    Predicate,
+    check_constraints,
+    constraint_from_json,
+    violates,
+)
+from swerve.space import TWO_PI, StateSpace
+
+
+class HypothesisSet(ABC):
+    """H hypotheses, numbered 0 to H - 1."""
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def constraint(self, index: int) -> Constraint:
+        """Return hypothesis `index` as a constraint."""
+
+    @abstractmethod
+    def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)], set where a trajectory enters a hypothesis.
+
+        Args:
+          states: [N, T+1, n] trajectories.
+          space: what the n components are.
+          between_states: whether the segments between states count as well.
+        """
+
+    @abstractmethod
+    def check(self, space: StateSpace) -> None:
+        """Raise ValueError where a hypothesis does not fit the state space."""
+
+    @property
+    @abstractmethod
+    def state_names(self) -> tuple[str, ...]:
+        """The states that the hypotheses speak of, in the order in which to draw them."""
+
+    @property
+    def needs_code(self) -> bool:
+        """Whether judging a trajectory needs functions that no file can hold."""
+        return False
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data from which `hypotheses_from_json` rebuilds the set."""
+
+    def name(self, index: int) -> str:
+        """Return the name of hypothesis `index`."""
+        return self.constraint(index).name
+
+
+class GridHypotheses(HypothesisSet):
+    """The cells of a regular grid over some of the states; made by `grid`.
+
+    The last named state varies fastest: with axes theta and omega of 10 cells each,
+    cell = 10 * theta_index + omega_index.
+    """
+
+    def __init__(self, axes: dict[str, tuple[float, float, int]]) -> None:
+        if not axes:
+            raise ValueError("grid: expected at least one axis, as in grid(x=(0.0, 1.0, 10))")
+        self.axes = {name: _checked_axis(name, axis) for name, axis in axes.items()}
+        self.shape = tuple(cells for _, _, cells in self.axes.values())
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the axes."""
+        return tuple(self.axes)
+
+    def check(self, space: StateSpace) -> None:
+        """Raise ValueError where an axis is no state or an angle axis exceeds a full turn."""
+        self._bounding_box().check(space)
+
+    def _bounding_box(self) -> Box:
+        return Box(**{name: (low, high) for name, (low, high, _) in self.axes.items()})
+
+    def constraint(self, index: int) -> Box:
+        """Return a cell as a box."""
+        if not 0 <= index < len(self):
+            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
+        cells = np.unravel_index(index, self.shape)
+        edges = {}
+        for (name, (low, high, count)), cell in zip(self.axes.items(), cells, strict=True):
+            width = (high - low) / count
+            edges[name] = (low + int(cell) * width, low + (int(cell) + 1) * width)
+        return Box(**edges)
+
+    def cells(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the cell [...] of each state [..., n], or -1 outside the grid."""
+        axes = self._lines(space)
+        return _join(axes, [axis.index(axis.position(states)) for axis in axes])
+
+    def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)]; the cost does not depend on H."""
+        states = np.asarray(states, np.float64)
+        axes = self._lines(space)
+        indices = [axis.index(axis.position(states)) for axis in axes]
+        moved = np.ones(states.shape[:-1], bool)
+        moved[:, 1:] = np.any([index[:, 1:] != index[:, :-1] for index in indices], axis=0)
+        bits = np.zeros((states.shape[0], (len(self) + 7) // 8), np.uint8)
+        _set_bits(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
+        if between_states:
+            trajectory, step = np.nonzero(moved[:, 1:])
+            segment, cell = self._crossed_cells(
+                states[trajectory, step], states[trajectory, step + 1], space
+            )
+            _set_bits(bits, trajectory[segment], cell)
+        return bits
+
+    def _crossed_cells(
+        self, starts: np.ndarray, ends: np.ndarray, space: StateSpace
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (segment, cell) for the cells strictly between the two ends of each segment.
+
+        The grid lines that a segment crosses cut it into pieces; the midpoint of a piece tells
+        its cell. Segments that cross fewer than two lines have no piece between their ends.
+        """
+        axes = self._lines(space)
+        steps = space.difference(starts, ends)
+        spans = [axis.span(starts, steps) for axis in axes]
+        many = np.flatnonzero(np.sum([np.abs(last - first) for first, last in spans], axis=0) >= 2)
+        segments, fractions = [], []
+        for axis, (first, last) in zip(axes, spans, strict=True):
+            segment, fraction = axis.crossings(starts[many], steps[many], first[many], last[many])
+            segments.append(segment)
+            fractions.append(fraction)
+        segment, fraction = np.concatenate(segments), np.concatenate(fractions)
+        order = np.lexsort((fraction, segment))
+        segment, fraction = segment[order], fraction[order]
+        same = segment[1:] == segment[:-1]
+        middle = (0.5 * (fraction[1:] + fraction[:-1]))[same, None]
+        piece = many[segment[1:][same]]
+        return piece, self.cells(starts[piece] + middle * steps[piece], space)
+
+    def _lines(self, space: StateSpace) -> list[_Axis]:
+        return [
+            _Axis(space.column(name), low, high, count, name in space.angles)
+            for name, (low, high, count) in self.axes.items()
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        return {"kind": "grid", "axes": {name: list(axis) for name, axis in self.axes.items()}}
+
+
+class _Axis:
+    """One axis of a grid: cells of equal width, extended beyond the ends so that lines have numbers.
+
+    Index e of a position lies between line e and line e + 1. On a straight axis e is -1 below and
+    `count` above. An angle goes on for ever: each turn adds `period` indices, `count` cells and,
+    unless they fill the circle, one gap.
+    """
+
+    def __init__(self, column: int, low: float, high: float, count: int, is_angle: bool) -> None:
+        self.column, self.low, self.count, self.is_angle = column, low, count, is_angle
+        self.width = (high - low) / count
+        fills = is_angle and high - low > TWO_PI * (1 - 1e-9)
+        self.period = count if fills else count + 1
+
+    def position(self, states: np.ndarray) -> np.ndarray:
+        """Return [...] the distance above the low end; for angles in [0, 2 pi)."""
+        position = states[..., self.column] - self.low
+        return position % TWO_PI if self.is_angle else position
+
+    def index(self, position: np.ndarray) -> np.ndarray:
+        """Return the extended index of a position."""
+        if not self.is_angle:
+            return np.clip(np.floor(position / self.width), -1, self.count).astype(np.int64)
+        turn = np.floor(position / TWO_PI)
+        within = np.floor((position - turn * TWO_PI) / self.width)
+        return (turn * self.period + np.minimum(within, self.period - 1)).astype(np.int64)
+
+    def span(self, starts: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the extended indices of the two ends of segments."""
+        position = self.position(starts)
+        return self.index(position), self.index(position + steps[..., self.column])
+
+    def is_cell(self, index: np.ndarray) -> np.ndarray:
+        """Return where an extended index is a cell, not outside or in the gap."""
+        if self.is_angle:
+            return index % self.period < self.count
+        return (index >= 0) & (index < self.count)
+
+    def cell(self, index: np.ndarray) -> np.ndarray:
+        """Return the cell number of an extended index, for those that are cells."""
+        return index % self.period if self.is_angle else index
+
+    def line(self, number: np.ndarray) -> np.ndarray:
+        """Return the position of a grid line."""
+        if not self.is_angle:
+            return number * self.width
+        return number // self.period * TWO_PI + number % self.period * self.width
+
+    def crossings(
+        self, starts: np.ndarray, steps: np.ndarray, first: np.ndarray, last: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (segment, fraction of it) of every line crossed from index first to last."""
+        count = np.abs(last - first)
+        segment = np.repeat(np.arange(len(count)), count)
+        order = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        number = np.minimum(first, last)[segment] + 1 + order
+        position, step = self.position(starts)[segment], steps[segment, self.column]
+        return segment, np.clip((self.line(number) - position) / step, 0.0, 1.0)
+
+
+class ConstraintHypotheses(HypothesisSet):
+    """A list of constraints. The cost of judging a trajectory grows with their number."""
+
+    def __init__(self, constraints: Iterable[Constraint]) -> None:
+        self.constraints = tuple(constraints)
+        if not self.constraints:
+            raise ValueError("hypotheses: expected at least one constraint, got an empty list")
+
+    def __len__(self) -> int:
+        return len(self.constraints)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The states that boxes name, in order of first mention."""
+        boxes = (c for c in self.constraints if isinstance(c, Box))
+        return tuple(dict.fromkeys(name for box in boxes for name in box.intervals))
+
+    @property
+    def needs_code(self) -> bool:
+        """Whether there are predicates among them."""
+        return any(isinstance(constraint, Predicate) for constraint in self.constraints)
+
+    def check(self, space: StateSpace) -> None:
+        """Raise ValueError where a constraint does not fit the state space."""
+        check_constraints(self.constraints, space, "hypotheses")
+
+    def constraint(self, index: int) -> Constraint:
+        """Return constraint `index`."""
+        if not 0 <= index < len(self):
+            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
+        return self.constraints[index]
+
+    def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)]."""
+        states = np.asarray(states, np.float64)
+        columns = [violates(c, states, space, between_states) for c in self.constraints]
+        return np.packbits(np.stack(columns, axis=-1), axis=-1, bitorder="little")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        return {"kind": "constraints", "constraints": [c.to_json() for c in self.constraints]}
+
+
+def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
+    """Hypothesise every cell of a regular grid.
+
+    Args:
+      **axes: for each state (low, high, number of cells), in that state's unit. An angle's range
+        may lie anywhere and span at most 2 pi.
+
+    Returns:
+      Hypotheses numbered with the last axis fastest.
+
+    Raises:
+      ValueError: if there is no axis, or one has low >= high or no cell.
+    """
+    return GridHypotheses(axes)
+
+
+def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
+    """Rebuild hypotheses from `to_json` data."""
+    if data["kind"] == "grid":
+        return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
+    return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
+
+
+def unpack(bits: np.ndarray, num_hypotheses: int) -> np.ndarray:
+    """Return booleans [..., H] from packed bits [..., ceil(H / 8)]."""
+    unpacked = np.unpackbits(bits, axis=-1, count=num_hypotheses, bitorder="little")
+    return unpacked.astype(bool)
+
+
+def _join(axes: list[_Axis], indices: list[np.ndarray]) -> np.ndarray:
+    """Return the cell numbers of extended indices, one array an axis, or -1 outside the grid."""
+    cell, inside = np.zeros(indices[0].shape, np.int64), np.True_
+    for axis, index in zip(axes, indices, strict=True):
+        inside = inside & axis.is_cell(index)
+        cell = cell * axis.count + axis.cell(index)
+    return np.where(inside, cell, -1)
+
+
+def _set_bits(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
+    """Set bit cells[k] of row rows[k], leaving out cells of -1."""
+    inside = cells >= 0
+    rows, cells = rows[inside], cells[inside]
+    np.bitwise_or.at(bits, (rows, cells >> 3), (1 << (cells & 7)).astype(np.uint8))
+
+
+def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, int]:
+    if len(axis) != 3:
+        raise ValueError(f"grid: expected {name}=(low, high, number of cells), got {axis!r}")
+    low, high, cells = float(axis[0]), float(axis[1]), int(axis[2])
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ValueError(f"grid: expected finite low < high for {name!r}, got ({low}, {high})")
+    if cells != axis[2] or cells < 1:
+        raise ValueError(f"grid: expected a whole number of cells for {name!r}, got {axis[2]!r}")
+    return low, high, cells

@@ -1,0 +1,185 @@
+"""Deterministic Markov decision processes with a goal, the model that every solver works on.
+
+A trajectory xi = (s_0, a_0, s_1, ..., s_L) follows s_{t+1} = f(s_t, a_t) for at most T steps of dt
+seconds and earns
+
+    R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L),
+
+r_T being paid where the episode ends, at t = T or earlier where `terminated` says so.
+
+Shapes: n state dimensions, m action dimensions, A actions, T steps, g goal dimensions,
+F features. All methods work on one state; solvers map them over batches.
+"""
+
+import abc
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from swerve.space import StateSpace, Task
+
+
+class MDP(eqx.Module):
+    """What a demonstrator can do and wants; subclass it for your own system.
+
+    A subclass sets the attributes, as class attributes, fields or properties, and writes
+    `dynamics` and `reward`; the other methods have defaults.
+
+    Attributes:
+      state_names: the n names of the states, also the columns of demonstration files.
+      action_names: the m names of the action's components.
+      actions: [A, m] the actions to choose from.
+      dt: duration of a step [s].
+      num_steps: T, the horizon.
+      bounds: [n, 2] where states are expected; grids, checks and random states use it.
+      angles: those of the states that wrap at 2 pi [rad].
+    """
+
+    state_names: eqx.AbstractVar[tuple[str, ...]]
+    action_names: eqx.AbstractVar[tuple[str, ...]]
+    actions: eqx.AbstractVar[Float[Array, "A m"]]
+    dt: eqx.AbstractVar[float]
+    num_steps: eqx.AbstractVar[int]
+    bounds: eqx.AbstractVar[Sequence[Sequence[float]] | Float[Array, "n 2"]]
+    angles = ()
+
+    @abc.abstractmethod
+    def dynamics(self, state: Float[Array, " n"], action: Float[Array, " m"]) -> Float[Array, " n"]:
+        """Return the state one step later; angles need not be wrapped."""
+
+    @abc.abstractmethod
+    def reward(
+        self,
+        state: Float[Array, " n"],
+        action: Float[Array, " m"],
+        next_state: Float[Array, " n"],
+        goal: Float[Array, " g"],
+    ) -> Float[Array, ""]:
+        """Return r(s, a, s'), the reward of one step."""
+
+    def terminal_reward(
+        self, state: Float[Array, " n"], goal: Float[Array, " g"]
+    ) -> Float[Array, ""]:
+        """Return r_T(s), paid where the episode ends, early or not; 0 unless overridden."""
+        return jnp.zeros(())
+
+    def terminated(self, state: Float[Array, " n"], goal: Float[Array, " g"]) -> Bool[Array, ""]:
+        """Return whether the episode ends on reaching this state; never unless overridden."""
+        return jnp.zeros((), bool)
+
+    @property
+    def goal_names(self) -> tuple[str, ...]:
+        """The g names of the goal's components: those of the states unless overridden."""
+        return self.state_names
+
+    def goal_of(self, states: Float[np.ndarray, "L n"]) -> Float[np.ndarray, " g"]:
+        """Return the goal of a finished demonstration that names none: its last state."""
+        return states[-1]
+
+    def features(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " F"]:
+        """Return what a network sees of a state, the step t and the goal, about unit scale.
+
+        The default: states and their differences to the goal in units of half the bounds' extent
+        (angles as sine and cosine), the goal itself, and the time to go.
+        """
+        space = self.space
+        centre, half = space.bounds.mean(axis=1), 0.5 * space.extent
+        to_go = (self.num_steps - step) / self.num_steps
+        parts = [_embed(state, centre, half, space.is_angle), jnp.stack([to_go, jnp.sqrt(to_go)])]
+        if self.goal_names == self.state_names:
+            parts.append(_embed(goal, centre, half, space.is_angle))
+            parts.append(space.difference(state, goal) / half)
+        else:
+            parts.append(goal)
+        return jnp.concatenate(parts)
+
+    def sample_task(self, key: Key[Array, ""]) -> Task:
+        """Draw a task to be ready for; by default start and goal uniform within the bounds."""
+        if self.goal_names != self.state_names:
+            raise ValueError(
+                f"{type(self).__name__} has goals {self.goal_names} that are not states: "
+                "define sample_task(self, key) to return swerve.Task(start, goal)"
+            )
+        key_start, key_goal = jax.random.split(key)
+        return Task(MDP.sample_state(self, key_start), MDP.sample_state(self, key_goal))
+
+    def sample_state(self, key: Key[Array, ""]) -> Float[Array, " n"]:
+        """Draw a state worth knowing, for exploring starts; by default uniform in the bounds."""
+        bounds = self.space.bounds
+        return jax.random.uniform(
+            key, (len(bounds),), minval=jnp.asarray(bounds[:, 0]), maxval=jnp.asarray(bounds[:, 1])
+        )
+
+    @property
+    def space(self) -> StateSpace:
+        """The state space: names, angles, bounds."""
+        return StateSpace(
+            tuple(self.state_names), tuple(self.angles), np.asarray(self.bounds, float)
+        )
+
+    @property
+    def num_actions(self) -> int:
+        """A, the number of actions."""
+        return self.actions.shape[0]
+
+
+def rk4(derivative, state: Array, dt: float) -> Array:
+    """Integrate state' = derivative(state) over dt by the classical Runge-Kutta method."""
+    k1 = derivative(state)
+    k2 = derivative(state + 0.5 * dt * k1)
+    k3 = derivative(state + 0.5 * dt * k2)
+    k4 = derivative(state + dt * k3)
+    return state + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+def check_mdp(mdp: MDP) -> None:
+    """Check shapes and values of an MDP by trying its methods on one state.
+
+    Raises:
+      ValueError: naming the attribute or method, what was expected and what came.
+    """
+    name = type(mdp).__name__
+    num_states = len(mdp.state_names)
+    actions = np.asarray(mdp.actions)
+    if actions.ndim != 2 or actions.shape[1] != len(mdp.action_names) or actions.shape[0] < 1:
+        raise ValueError(
+            f"{name}.actions: expected shape [A, {len(mdp.action_names)}], one row an action and "
+            f"one column for each of action_names {mdp.action_names}, got {actions.shape}"
+        )
+    if not np.isfinite(actions).all():
+        raise ValueError(f"{name}.actions: expected finite numbers, got {actions.tolist()}")
+    if not (math.isfinite(mdp.dt) and mdp.dt > 0):
+        raise ValueError(f"{name}.dt: expected a positive number of seconds, got {mdp.dt}")
+    if mdp.num_steps < 1:
+        raise ValueError(f"{name}.num_steps: expected at least 1, got {mdp.num_steps}")
+    state = jnp.asarray(mdp.space.bounds.mean(axis=1), jnp.float32)
+    goal = state if mdp.goal_names == mdp.state_names else jnp.zeros(len(mdp.goal_names))
+    action = mdp.actions[0]
+    for label, value, shape in (
+        ("dynamics(state, action)", mdp.dynamics(state, action), (num_states,)),
+        ("reward(state, action, next_state, goal)", mdp.reward(state, action, state, goal), ()),
+        ("terminal_reward(state, goal)", mdp.terminal_reward(state, goal), ()),
+        ("terminated(state, goal)", mdp.terminated(state, goal), ()),
+    ):
+        if jnp.shape(value) != shape:
+            raise ValueError(f"{name}.{label}: expected shape {shape}, got {jnp.shape(value)}")
+        if not np.isfinite(np.asarray(value, float)).all():
+            raise ValueError(
+                f"{name}.{label}: expected finite numbers, got {np.asarray(value).tolist()} at the "
+                f"centre of the bounds, state {np.asarray(state).tolist()}"
+            )
+
+
+def _embed(state: Array, centre: np.ndarray, half: np.ndarray, is_angle: np.ndarray) -> Array:
+    """Return angles as sine and cosine, other states scaled to [-1, 1] within the bounds."""
+    straight = np.flatnonzero(~is_angle)
+    angle = np.flatnonzero(is_angle)
+    scaled = (state[straight] - centre[straight]) / half[straight]
+    return jnp.concatenate([scaled, jnp.sin(state[angle]), jnp.cos(state[angle])])

@@ -1,0 +1,188 @@
+"""A constraint inference problem, and what stored results need to know of it.
+
+The nominal distribution of the problem is
+
+    pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0,
+
+over trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
+m = A^-length ("uniform"). A hypothesis c restricts it further: pi_c = m exp(beta R) 1[avoids c] / Z_c.
+
+`Problem` holds the model, which needs JAX; `ProblemRecord` is the rest of it as plain data, stored
+with every result, so that inference needs neither JAX nor user code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swerve.constraints import Constraint, check_constraints, constraint_from_json
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
+from swerve.space import StateSpace
+
+if TYPE_CHECKING:
+    from swerve.mdp import MDP
+
+MEASURES = ("uniform", "counting")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """An MDP, what is hypothesised, and what is assumed of the demonstrator.
+
+    Attributes:
+      mdp: dynamics, reward, actions, horizon.
+      hypotheses: the constraints among which to look, from `grid` or a list of them.
+      beta: inverse temperature of the demonstrator, nats per unit of reward.
+      measure: base measure of trajectories, "uniform" (A^-length) or "counting" (1).
+      known: constraints known to hold, which the nominal distribution obeys too.
+      between_states: whether crossing a constraint between two states counts as entering it;
+        False judges the states alone, as the paper does.
+    """
+
+    mdp: MDP
+    hypotheses: HypothesisSet | Sequence[Constraint]
+    beta: float = 1.0
+    measure: str = "uniform"
+    known: Sequence[Constraint] = ()
+    between_states: bool = True
+
+    def __post_init__(self) -> None:
+        from swerve.mdp import MDP, check_mdp
+
+        if not isinstance(self.mdp, MDP):
+            raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
+        check_mdp(self.mdp)
+        if not isinstance(self.hypotheses, HypothesisSet):
+            object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))
+        if not (math.isfinite(self.beta) and self.beta >= 0):
+            raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
+        if self.measure not in MEASURES:
+            raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
+        self.hypotheses.check(self.mdp.space)
+        object.__setattr__(self, "known", check_constraints(self.known, self.mdp.space, "known"))
+
+    @property
+    def record(self) -> ProblemRecord:
+        """The problem as plain data."""
+        from swerve.mdp import MDP
+
+        return ProblemRecord(
+            name=_mdp_name(self.mdp),
+            space=self.mdp.space,
+            action_names=tuple(self.mdp.action_names),
+            goal_names=tuple(self.mdp.goal_names),
+            goal_is_last_state=type(self.mdp).goal_of is MDP.goal_of,
+            num_actions=self.mdp.num_actions,
+            num_steps=self.mdp.num_steps,
+            dt=float(self.mdp.dt),
+            hypotheses=self.hypotheses,
+            known=tuple(self.known),
+            beta=float(self.beta),
+            measure=self.measure,
+            between_states=bool(self.between_states),
+            mdp_digest=_mdp_digest(self.mdp),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemRecord:
+    """Everything about a problem except how to run its dynamics.
+
+    Attributes:
+      name: the MDP and its parameters, for people.
+      goal_is_last_state: whether `MDP.goal_of` is the default one.
+      mdp_digest: hash of the MDP's class name, parameters and actions.
+      Others: as in `Problem` and `MDP`.
+    """
+
+    name: str
+    space: StateSpace
+    action_names: tuple[str, ...]
+    goal_names: tuple[str, ...]
+    goal_is_last_state: bool
+    num_actions: int
+    num_steps: int
+    dt: float
+    hypotheses: HypothesisSet
+    known: tuple[Constraint, ...]
+    beta: float
+    measure: str
+    between_states: bool
+    mdp_digest: str
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash that differs between problems: of the model, hypotheses, and all settings."""
+        return _digest(json.dumps(self.to_json(), sort_keys=True))
+
+    @property
+    def summary(self) -> str:
+        """One line for people: the model and the settings that results depend on."""
+        known = f", known: {'; '.join(c.name for c in self.known)}" if self.known else ""
+        judged = "states and segments between them" if self.between_states else "states alone"
+        return (
+            f"{self.name}, beta {self.beta:g}, {self.measure} measure, "
+            f"{len(self.hypotheses)} hypotheses judged at {judged}{known}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        data = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return data | {
+            "space": self.space.to_json(),
+            "hypotheses": self.hypotheses.to_json(),
+            "known": [constraint.to_json() for constraint in self.known],
+            "action_names": list(self.action_names),
+            "goal_names": list(self.goal_names),
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> ProblemRecord:
+        """Rebuild a record from `to_json` data."""
+        return cls(
+            **data
+            | {
+                "space": StateSpace.from_json(data["space"]),
+                "hypotheses": hypotheses_from_json(data["hypotheses"]),
+                "known": tuple(constraint_from_json(item) for item in data["known"]),
+                "action_names": tuple(data["action_names"]),
+                "goal_names": tuple(data["goal_names"]),
+            }
+        )
+
+
+def _mdp_name(mdp: MDP) -> str:
+    """Return for example 'Pendulum(max_torque=10.0, num_torques=5)': the scalar parameters."""
+    parameters = [
+        f"{field.name}={value}"
+        for field in dataclasses.fields(mdp)
+        for value in [getattr(mdp, field.name)]
+        if isinstance(value, int | float | str)
+    ]
+    return f"{type(mdp).__name__}({', '.join(parameters)})"
+
+
+def _mdp_digest(mdp: MDP) -> str:
+    """Hash an MDP's class, its parameters and everything that `MDP` says of it as data."""
+    import jax
+
+    leaves, _ = jax.tree_util.tree_flatten_with_path(mdp)
+    parts = [f"{type(mdp).__module__}.{type(mdp).__qualname__}", _mdp_name(mdp)]
+    for path, leaf in leaves:
+        array = np.asarray(leaf)
+        parts.append(f"{jax.tree_util.keystr(path)}{array.dtype}{array.shape}")
+        parts.append(array.tobytes().hex())
+    parts.append(np.asarray(mdp.actions, np.float64).tobytes().hex())
+    return _digest("\n".join(parts))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,52 @@
+"""Progress bars with the time left, on standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Advance = Callable[..., None]
+"""Call with the amount of work done since the last call, and `note="..."` to show beside the bar."""
+
+
+@contextmanager
+def progress_bar(description: str, total: float, enabled: bool) -> Iterator[Advance]:
+    """Show a bar while the block runs.
+
+    Args:
+      description: what is being done.
+      total: amount of work, in any unit.
+      enabled: False shows nothing.
+
+    Yields:
+      A function to call with the amount done since the last call.
+    """
+    if not enabled:
+        yield lambda amount, note="": None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        job = bar.add_task(description, total=total, note="")
+
+        def advance(amount: float, note: str = "") -> None:
+            bar.update(job, advance=amount, **({"note": note} if note else {}))
+
+        yield advance

@@ -1,0 +1,116 @@
+"""What is known of a state space without running its dynamics: names, angles, bounds.
+
+An angle theta stands for theta + 2 pi k, so the difference between two angles is the shorter arc,
+
+    difference(a, b) = (b - a + pi) mod 2 pi - pi,
+
+and a straight segment between two states follows it. Everything here works alike on NumPy and
+JAX arrays, and imports neither JAX nor anything of Swerve.
+
+Shapes: n state dimensions, ... any batch dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+TWO_PI = 2.0 * math.pi
+
+
+class Task(NamedTuple):
+    """A start state and a goal; with a leading axis in both, a batch of tasks.
+
+    Attributes:
+      start: [..., n] state at t = 0.
+      goal: [..., g] what the reward is told to reach; often a state, then g = n.
+    """
+
+    start: Any
+    goal: Any
+
+    @classmethod
+    def stack(cls, tasks: list[Task]) -> Task:
+        """Join single tasks into one batch with a leading axis."""
+        if not tasks:
+            raise ValueError("expected at least one task, got an empty list")
+        return cls(
+            np.stack([np.asarray(task.start, float) for task in tasks]),
+            np.stack([np.asarray(task.goal, float) for task in tasks]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """Names, angles and bounds of the states of an MDP.
+
+    Attributes:
+      names: the n state names, also the columns of demonstration files.
+      angles: those of the names that wrap at 2 pi [rad].
+      bounds: [n, 2] where states are expected, in the states' own units.
+    """
+
+    names: tuple[str, ...]
+    angles: tuple[str, ...]
+    bounds: np.ndarray
+
+    def __post_init__(self) -> None:
+        bounds = np.asarray(self.bounds, dtype=float)
+        if bounds.shape != (len(self.names), 2):
+            raise ValueError(
+                f"bounds: expected shape ({len(self.names)}, 2), one (low, high) row for each of "
+                f"{self.names}, got {bounds.shape}"
+            )
+        if not (np.isfinite(bounds).all() and (bounds[:, 0] < bounds[:, 1]).all()):
+            raise ValueError(f"bounds: expected finite low < high in every row, got {bounds}")
+        object.__setattr__(self, "bounds", bounds)
+        for name in self.angles:
+            self.column(name)
+
+    @cached_property
+    def is_angle(self) -> np.ndarray:
+        """[n] True where a state wraps at 2 pi."""
+        return np.array([name in self.angles for name in self.names])
+
+    @property
+    def extent(self) -> np.ndarray:
+        """[n] width of the bounds."""
+        return self.bounds[:, 1] - self.bounds[:, 0]
+
+    def column(self, name: str) -> int:
+        """Return the index of a state name.
+
+        Raises:
+          ValueError: if there is no state of that name.
+        """
+        if name not in self.names:
+            raise ValueError(f"no state named {name!r}; the states are {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def difference(self, start: Any, end: Any) -> Any:
+        """Return end - start [..., n], along the shorter arc for angles."""
+        xp = start.__array_namespace__()
+        delta = end - start
+        wrapped = (delta + math.pi) % TWO_PI - math.pi
+        return cast(Any, xp.where(self.is_angle, wrapped, delta))
+
+    def relative_distance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the largest difference [...] between states, each in units of its extent."""
+        return (np.abs(self.difference(a, b)) / self.extent).max(axis=-1)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return this space as JSON data."""
+        return {
+            "names": list(self.names),
+            "angles": list(self.angles),
+            "bounds": self.bounds.tolist(),
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> StateSpace:
+        """Rebuild a space from `to_json` data."""
+        return cls(tuple(data["names"]), tuple(data["angles"]), np.array(data["bounds"]))
