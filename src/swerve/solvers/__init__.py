@@ -1,0 +1,1 @@
+"""Ways to the nominal distribution pi_0, one file each."""

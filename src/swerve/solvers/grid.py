@@ -1,0 +1,337 @@
+"""Soft dynamic programming on a grid of states: pi_0 without learning, for n <= 3.
+
+    V_t(s) = log mean_a exp(beta r(s, a, s') + V_{t+1}(s'))    (sum for the counting measure)
+
+at the nodes, V interpolated between them, V = beta r_T exactly where an episode has ended. The
+policy is the one-step look-ahead
+
+    log pi(a | s, t) = beta r(s, a, s') + V_{t+1}(s') - logsumexp over a,
+
+evaluated at the state itself, not at a node, so interpolation errors enter V alone. Dynamics do
+not depend on time nor on the goal, so interpolation at all successors of all nodes is one sparse
+matrix, and tasks with the same goal share one backward pass.
+
+In the backward pass each step into a known constraint costs a finite penalty, which keeps V
+finite; the policy forbids such steps outright.
+
+Shapes: S nodes, A actions, T steps, n state dimensions, G goals solved at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse
+from jaxtyping import Array, Float, Int
+
+from swerve.problem import Problem
+from swerve.solvers.interpolation import STENCIL, StateGrid, choose_smooth
+from swerve.space import Task
+from swerve.trajectory import enters
+
+KNOWN_PENALTY = 20.0  # nats a step; e^-20 of the forbidden mass is left in V
+MAX_DIMENSIONS = 3
+DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # along a straight axis; angles have half as many
+VALUES_BYTES = 1 << 30  # backward passes that are held at once
+MATRIX_BYTES = 8 << 30
+FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Solver: soft dynamic programming on a state grid, then one-step look-ahead.
+
+    Attributes:
+      num_points: nodes along each axis, or 0 for the default resolution: 361 nodes in two
+        dimensions (angles 180), 1001 in one, 61 in three.
+    """
+
+    num_points: tuple[int, ...] | int = 0
+
+    name = "grid"
+
+    def learn(
+        self,
+        problem: Problem,
+        *,
+        tasks: Task | None = None,
+        seed: int = 0,
+        progress: bool = False,
+        checkpoint: Path | None = None,
+    ) -> GridNominal:
+        """Return the nominal distribution; the backward passes run when a goal is sampled.
+
+        Nothing is random and nothing is trained, so only `problem` matters.
+
+        Raises:
+          ValueError: if the state has more than 3 dimensions, or the grid would not fit memory.
+        """
+        space = problem.mdp.space
+        n = len(space.names)
+        if n > MAX_DIMENSIONS:
+            raise ValueError(
+                f"the grid solver takes at most {MAX_DIMENSIONS} state dimensions, "
+                f"{type(problem.mdp).__name__} has {n} ({', '.join(space.names)}): "
+                "use solver 'ppo'"
+            )
+        return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
+
+    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> GridNominal:
+        """Return the nominal distribution; nothing was stored but the settings."""
+        return self.learn(problem)
+
+    def _resolution(self, problem: Problem) -> tuple[int, ...]:
+        """Return the nodes along each axis, checked against memory."""
+        space = problem.mdp.space
+        if self.num_points == 0:
+            points = DEFAULT_POINTS[len(space.names)]
+            resolution = tuple(points // 2 if angle else points for angle in space.is_angle)
+        elif isinstance(self.num_points, int):
+            resolution = (self.num_points,) * len(space.names)
+        else:
+            resolution = tuple(self.num_points)
+        num_nodes = StateGrid(space, resolution).num_nodes
+        matrix = 8 * num_nodes * problem.mdp.num_actions * STENCIL ** len(space.names)
+        values = 4 * num_nodes * (problem.mdp.num_steps + 1)
+        if max(matrix, values) > MATRIX_BYTES:
+            raise ValueError(
+                f"a grid of {' x '.join(map(str, resolution))} nodes needs "
+                f"{matrix / 2**30:.1f} GiB for its interpolation matrix and "
+                f"{values / 2**30:.1f} GiB a goal for values, more than "
+                f"{MATRIX_BYTES / 2**30:.0f} GiB: pass fewer num_points"
+            )
+        return resolution
+
+
+class GridPolicy(eqx.Module):
+    """The look-ahead policy of one goal, and its soft value.
+
+    Attributes:
+      values: [T+1, S] beta-weighted soft values at the nodes, nats.
+    """
+
+    problem: Problem = eqx.field(static=True)
+    grid: StateGrid = eqx.field(static=True)
+    values: Float[Array, "T+1 S"]
+
+    def __call__(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " A"]:
+        """Return log pi(a | state, step) for every action."""
+        return jax.nn.log_softmax(self.action_values(state, step, goal))
+
+    def action_values(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " A"]:
+        """Return beta r(s, a, s') + V_{t+1}(s') for every action, very low where forbidden."""
+        mdp, beta = self.problem.mdp, self.problem.beta
+        values = self.values[step + 1]
+
+        def action_value(action: Array) -> Array:
+            next_state = mdp.dynamics(state, action)
+            ended = mdp.terminated(next_state, goal) | (step == mdp.num_steps - 1)
+            value = self.grid.interpolate(values, next_state)
+            value = jnp.where(ended, beta * mdp.terminal_reward(next_state, goal), value)
+            value = value + beta * mdp.reward(state, action, next_state, goal)
+            forbidden = enters(
+                self.problem.known, state, next_state, mdp, self.problem.between_states
+            )
+            return jnp.where(forbidden, FORBIDDEN, value)
+
+        return jax.vmap(action_value)(mdp.actions)
+
+    def soft_value(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, ""]:
+        """Return V_t(s) by one look-ahead, nats; V_0(start) is log Z_0 of the task."""
+        total = jax.nn.logsumexp(self.action_values(state, step, goal))
+        return total - _measure_offset(self.problem)
+
+
+@dataclass(frozen=True, eq=False)
+class GridNominal:
+    """pi_0 by dynamic programming: any goal's policy, worked out when it is asked for."""
+
+    problem: Problem
+    solver: Grid
+
+    @cached_property
+    def grid(self) -> StateGrid:
+        """The grid of states."""
+        assert isinstance(self.solver.num_points, tuple)
+        return StateGrid(self.problem.mdp.space, self.solver.num_points)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return nothing: the values of a goal are cheaper to work out than to keep."""
+        return {}
+
+    def policies(self, goals: np.ndarray) -> Iterator[GridPolicy]:
+        """Yield the policy of each goal [G, g] in turn, in blocks that fit memory."""
+        bytes_a_goal = 4 * self.grid.num_nodes * (self.problem.mdp.num_steps + 1)
+        block = max(1, VALUES_BYTES // bytes_a_goal)
+        for first in range(0, len(goals), block):
+            for values in self.backward(goals[first : first + block]):
+                yield GridPolicy(self.problem, self.grid, jnp.asarray(values))
+
+    def backward(self, goals: np.ndarray) -> np.ndarray:
+        """Return the soft values [G, T+1, S] at the nodes for goals [G, g], nats."""
+        problem, successors = self.problem, self._successors
+        mdp, num_nodes = problem.mdp, self.grid.num_nodes
+        model = _goal_model(problem, self.grid.nodes(), successors, goals)
+        values = np.empty((len(goals), mdp.num_steps + 1, num_nodes), np.float32)
+        value, following = model.node_terminal, model.successor_terminal.copy()
+        values[:, mdp.num_steps] = value.T
+        for step in range(mdp.num_steps - 1, -1, -1):
+            if step < mdp.num_steps - 1:
+                following = choose_smooth(np, successors.cubic @ value, successors.linear @ value)
+                np.copyto(following, model.successor_terminal, where=model.successor_ended)
+            following += model.reward
+            value = _log_sum_exp(following.reshape(mdp.num_actions, num_nodes, len(goals)))
+            value -= _measure_offset(problem)
+            np.copyto(value, model.node_terminal, where=model.node_ended)
+            values[:, step] = value.T
+        return values
+
+    @cached_property
+    def _successors(self) -> _Successors:
+        return _successors(self.problem, self.grid)
+
+
+@dataclass(frozen=True)
+class _Successors:
+    """All successors of all nodes, in order of action then node.
+
+    Attributes:
+      states: [A*S, n].
+      cubic: [A*S, S] sparse; times values at nodes, gives values at successors.
+      linear: [A*S, S] the same by linear interpolation.
+      penalty: [A*S] nats, for steps into a known constraint.
+    """
+
+    states: np.ndarray
+    cubic: Any
+    linear: Any
+    penalty: np.ndarray
+
+
+@dataclass(frozen=True)
+class _GoalModel:
+    """What depends on the goals: [S, G] at nodes, [A*S, G] at successors, in nats."""
+
+    node_terminal: np.ndarray
+    node_ended: np.ndarray
+    successor_terminal: np.ndarray
+    successor_ended: np.ndarray
+    reward: np.ndarray
+
+
+def _successors(problem: Problem, grid: StateGrid) -> _Successors:
+    """Step every action from every node and find the weights that interpolate there."""
+    mdp = problem.mdp
+
+    @jax.jit
+    def successors_of(action: Array, nodes: Array) -> tuple[Array, ...]:
+        def step(state: Array) -> tuple[Array, ...]:
+            next_state = mdp.dynamics(state, action)
+            forbidden = enters(problem.known, state, next_state, mdp, problem.between_states)
+            return next_state, *grid.stencil(next_state), forbidden
+
+        return jax.vmap(step)(nodes)
+
+    nodes = jnp.asarray(grid.nodes(), jnp.float32)
+    parts = [successors_of(action, nodes) for action in mdp.actions]
+    states, columns, cubic, linear, forbidden = (
+        np.concatenate([np.asarray(part) for part in field]) for field in zip(*parts, strict=True)
+    )
+    _check_finite(states, grid, f"{type(mdp).__name__}.dynamics")
+    return _Successors(
+        states,
+        _sparse(columns, cubic, grid.num_nodes),
+        _sparse(columns, linear, grid.num_nodes),
+        KNOWN_PENALTY * forbidden,
+    )
+
+
+def _sparse(columns: np.ndarray, weights: np.ndarray, num_nodes: int) -> scipy.sparse.csr_matrix:
+    """Return the sparse matrix of stencils, nodes [R, K] and their weights, without its zeros."""
+    rows = np.arange(0, columns.size + 1, columns.shape[1])
+    matrix = scipy.sparse.csr_matrix(
+        (weights.ravel(), columns.ravel(), rows), shape=(len(columns), num_nodes), copy=True
+    )
+    matrix.eliminate_zeros()  # in place, hence the copy
+    return matrix
+
+
+def _goal_model(
+    problem: Problem, nodes: np.ndarray, successors: _Successors, goals: np.ndarray
+) -> _GoalModel:
+    """Evaluate rewards and endings at all nodes and successors, for every goal."""
+    mdp, beta = problem.mdp, problem.beta
+
+    @jax.jit
+    def at_states(states: Array, goal: Array) -> tuple[Array, Array]:
+        terminal = jax.vmap(mdp.terminal_reward, (0, None))(states, goal)
+        return beta * terminal, jax.vmap(mdp.terminated, (0, None))(states, goal)
+
+    @jax.jit
+    def rewards(states: Array, next_states: Array, goal: Array) -> Array:
+        def reward(action: Array, following: Array) -> Array:
+            return jax.vmap(mdp.reward, (0, None, 0, None))(states, action, following, goal)
+
+        return beta * jax.vmap(reward)(mdp.actions, next_states).reshape(-1)
+
+    states = jnp.asarray(nodes, jnp.float32)
+    next_states = jnp.asarray(successors.states).reshape(mdp.num_actions, *nodes.shape)
+    columns = []
+    for goal in jnp.asarray(goals, jnp.float32):
+        columns.append(
+            (
+                *at_states(states, goal),
+                *at_states(next_states.reshape(-1, nodes.shape[1]), goal),
+                rewards(states, next_states, goal),
+            )
+        )
+    model = _GoalModel(*(np.stack(field, axis=-1) for field in zip(*columns, strict=True)))
+    for label, value in (("terminal_reward", model.node_terminal), ("reward", model.reward)):
+        if not np.isfinite(value).all():
+            raise ValueError(
+                f"{type(mdp).__name__}.{label} is not finite somewhere within the bounds: "
+                "the grid solver needs finite rewards at every node"
+            )
+    return dataclasses.replace(model, reward=model.reward - successors.penalty[:, None])
+
+
+def _log_sum_exp(action_values: np.ndarray) -> np.ndarray:
+    """Return log sum exp over the first axis of [A, ...], overwriting its argument."""
+    largest = action_values.max(axis=0)
+    action_values -= largest
+    np.exp(action_values, out=action_values)
+    total = action_values.sum(axis=0)
+    np.log(total, out=total)
+    total += largest
+    return total
+
+
+def _measure_offset(problem: Problem) -> float:
+    """Return what the base measure takes off each step's log-sum: log A if uniform, else 0."""
+    return math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
+
+
+def _check_finite(states: np.ndarray, grid: StateGrid, origin: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(states).all(axis=1))
+    if bad.size:
+        node = grid.nodes()[bad[0] % grid.num_nodes]
+        raise ValueError(
+            f"{origin} returned {states[bad[0]].tolist()} from state {node.tolist()}: expected "
+            "finite states everywhere within the bounds"
+        )

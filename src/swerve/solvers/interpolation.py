@@ -1,0 +1,133 @@
+"""Interpolation on a regular grid of states: cubic where the values are smooth, else linear.
+
+The value at a point is a weighted sum over the 4 nearest nodes along each axis,
+
+    V(x) = sum_k w_k(x) V(node_k),    w = product over axes of Lagrange weights,
+
+so that interpolating at fixed points is one sparse matrix. Where the cubic and the linear value
+differ by more than a tolerance there is a cliff in between, near which a cubic overshoots; repeated
+through a recursion that prefers high values the overshoot would grow without bound, so there the
+linear value, which cannot overshoot, is taken. Angles are periodic; elsewhere points beyond the
+outermost nodes are moved onto them.
+
+Shapes: n state dimensions, S nodes in all, K = 4^n nodes a stencil.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from swerve.space import StateSpace
+
+STENCIL = 4  # nodes along one axis
+SMOOTH = 1.0  # nats between cubic and linear interpolation beyond which there is a cliff
+
+
+class Stencil(NamedTuple):
+    """What interpolates at one point.
+
+    Attributes:
+      nodes: [K] indices of nodes.
+      cubic: [K] weights of cubic interpolation.
+      linear: [K] weights of linear interpolation, most of them 0.
+    """
+
+    nodes: Int[Array, " K"]
+    cubic: Float[Array, " K"]
+    linear: Float[Array, " K"]
+
+
+class StateGrid:
+    """A regular grid of nodes over the bounds of a state space; angles go all the way round.
+
+    Args:
+      space: names, angles and bounds of the states.
+      num_points: nodes along each of the n axes, at least 4.
+    """
+
+    def __init__(self, space: StateSpace, num_points: tuple[int, ...]) -> None:
+        if len(num_points) != len(space.names) or min(num_points) < STENCIL:
+            raise ValueError(
+                f"num_points: expected at least {STENCIL} nodes for each of the states "
+                f"{', '.join(space.names)}, got {num_points}"
+            )
+        self.num_points = tuple(num_points)
+        self.periodic = tuple(bool(angle) for angle in space.is_angle)
+        self.low = tuple(
+            0.0 if angle else low
+            for angle, (low, _) in zip(self.periodic, space.bounds, strict=True)
+        )
+        self.spacing = tuple(
+            2.0 * math.pi / points if angle else (high - low) / (points - 1)
+            for angle, points, (low, high) in zip(
+                self.periodic, num_points, space.bounds, strict=True
+            )
+        )
+
+    @property
+    def num_nodes(self) -> int:
+        """S, the number of nodes."""
+        return math.prod(self.num_points)
+
+    def nodes(self) -> np.ndarray:
+        """Return the nodes [S, n], the last state varying fastest."""
+        axes = [
+            low + spacing * np.arange(points)
+            for low, spacing, points in zip(self.low, self.spacing, self.num_points, strict=True)
+        ]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(self.num_nodes, -1)
+
+    def stencil(self, state: Float[Array, " n"]) -> Stencil:
+        """Return the nodes and weights that interpolate at one state."""
+        stencil = Stencil(jnp.zeros(1, jnp.int32), jnp.ones(1), jnp.ones(1))
+        for k, points in enumerate(self.num_points):
+            position = (state[k] - self.low[k]) / self.spacing[k]
+            if self.periodic[k]:
+                position = position % points
+                below = jnp.floor(position)
+            else:
+                position = jnp.clip(position, 0.0, points - 1.0)
+                below = jnp.clip(jnp.floor(position), 1.0, points - 3.0)
+            near = (below.astype(jnp.int32) + jnp.arange(-1, 3)) % points
+            x = position - below
+            stencil = Stencil(
+                (stencil.nodes[:, None] * points + near).reshape(-1),
+                (stencil.cubic[:, None] * _cubic_weights(x)).reshape(-1),
+                (stencil.linear[:, None] * _linear_weights(x)).reshape(-1),
+            )
+        return stencil
+
+    def interpolate(
+        self, values: Float[Array, " S"], state: Float[Array, " n"]
+    ) -> Float[Array, ""]:
+        """Return the value at one state from values at the nodes."""
+        nodes, cubic, linear = self.stencil(state)
+        near = values[nodes]
+        return choose_smooth(jnp, near @ cubic, near @ linear)
+
+
+def choose_smooth(xp: Any, cubic: Any, linear: Any) -> Any:
+    """Return the cubic value, or the linear one where they are far apart."""
+    return xp.where(abs(cubic - linear) > SMOOTH, linear, cubic)
+
+
+def _cubic_weights(x: Float[Array, ""]) -> Float[Array, "4"]:
+    """Return the cubic Lagrange weights at x of nodes at -1, 0, 1, 2."""
+    return jnp.stack(
+        [
+            -x * (x - 1.0) * (x - 2.0) / 6.0,
+            (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
+            -(x + 1.0) * x * (x - 2.0) / 2.0,
+            (x + 1.0) * x * (x - 1.0) / 6.0,
+        ]
+    )
+
+
+def _linear_weights(x: Float[Array, ""]) -> Float[Array, "4"]:
+    """Return the linear weights at x of nodes at -1, 0, 1, 2."""
+    return jnp.maximum(0.0, 1.0 - jnp.abs(x - jnp.arange(-1.0, 3.0)))

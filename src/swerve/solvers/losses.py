@@ -1,0 +1,93 @@
+"""Advantages and losses of maximum-entropy policy gradients, as pure functions.
+
+Rewards here are soft: they contain the log-probability of the executed action (the paper, eq. 6),
+in nats,
+
+    r~_t = beta r_t - log pi(a_t | s_t, t)  (- log A for the uniform measure),
+
+so that for pi = pi_0 every return is the same number and every advantage is zero. Nothing is
+normalised or discounted. Where returns differ by orders of magnitude, losses, and nothing else, are
+divided by 1 + |return| / scale.
+
+Shapes: L steps of a segment, N lanes, A actions.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+HUBER_DELTA = 2.0
+LARGEST_EXPONENT = 8.0  # of the value scale: values up to about scale * 3000 nats
+
+
+def advantages(
+    reward: Float[Array, "L N"],
+    value: Float[Array, "L N"],
+    next_value: Float[Array, "L N"],
+    ended: Bool[Array, "L N"],
+    gae_lambda: float,
+) -> Float[Array, "L N"]:
+    """Return generalised advantage estimates without discount.
+
+    Args:
+      reward: soft rewards, nats.
+      value: V(s_t).
+      next_value: V(s_{t+1}), 0 where the episode ended with this step.
+      ended: where it did.
+      gae_lambda: 0 trusts the value, 1 the rewards.
+    """
+    residual = reward + next_value - value
+
+    def backward(later: Array, x: tuple[Array, Array]) -> tuple[Array, Array]:
+        residual, ended = x
+        now = residual + gae_lambda * jnp.where(ended, 0.0, later)
+        return now, now
+
+    return jax.lax.scan(backward, jnp.zeros_like(value[0]), (residual, ended), reverse=True)[1]
+
+
+def policy_loss(
+    log_probabilities: Float[Array, " A"],
+    old_log_probabilities: Float[Array, " A"],
+    action: Int[Array, ""],
+    advantage: Float[Array, ""],
+    *,
+    clip: float,
+) -> Float[Array, ""]:
+    """Return the clipped surrogate of one step, with KL(new || old) against it.
+
+    Without the clip its minimum is pi_old exp(advantage) normalised, the soft policy improvement.
+    """
+    log_ratio = log_probabilities - old_log_probabilities
+    ratio = jnp.exp(select(log_ratio, action))
+    clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
+    divergence = jnp.sum(jnp.exp(log_probabilities) * log_ratio)
+    return divergence - jnp.minimum(ratio * advantage, clipped * advantage)
+
+
+def huber(error: Float[Array, ""]) -> Float[Array, ""]:
+    """Return error^2 / 2 near 0, linear beyond HUBER_DELTA."""
+    size = jnp.abs(error)
+    inner = jnp.minimum(size, HUBER_DELTA)
+    return inner * (size - 0.5 * inner)
+
+
+def loss_scale(target: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
+    """Return 1 + |target| / scale, by which losses are divided."""
+    return 1.0 + jnp.abs(target) / scale
+
+
+def value_of_output(output: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
+    """Return the value [nats] of a network's output: linear near 0, exponential far from it.
+
+    Its slope is `loss_scale` of the value, so errors relative to that are even in the output.
+    """
+    size = jnp.minimum(jnp.abs(output), LARGEST_EXPONENT)
+    return jnp.sign(output) * scale * jnp.expm1(size)
+
+
+def select(table: Float[Array, " A"], index: Int[Array, ""]) -> Float[Array, ""]:
+    """Return table[index]; over a batch of few actions a sum is faster than a gather."""
+    return jnp.sum(jnp.where(jnp.arange(table.shape[0]) == index, table, 0.0))

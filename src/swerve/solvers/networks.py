@@ -1,0 +1,38 @@
+"""Small dense networks, applied to one input at a time and mapped over batches."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+
+class DenseNetwork(eqx.Module):
+    """A multilayer perceptron with tanh between its layers.
+
+    Args:
+      sizes: of the input, every hidden layer and the output.
+      last_scale: factor on the last layer's initial weights; small makes a flat start.
+      key: source of randomness.
+    """
+
+    weights: list[Float[Array, "out in"]]
+    biases: list[Float[Array, " out"]]
+
+    def __init__(self, sizes: tuple[int, ...], last_scale: float, *, key: Key[Array, ""]) -> None:
+        keys = jax.random.split(key, len(sizes) - 1)
+        scales = [1.0] * (len(sizes) - 2) + [last_scale]
+        self.weights = [
+            scale * jax.random.normal(layer_key, (outputs, inputs)) / inputs**0.5
+            for layer_key, scale, inputs, outputs in zip(
+                keys, scales, sizes[:-1], sizes[1:], strict=True
+            )
+        ]
+        self.biases = [jnp.zeros(outputs) for outputs in sizes[1:]]
+
+    def __call__(self, x: Float[Array, " in"]) -> Float[Array, " out"]:
+        """Return the output for one input."""
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = jnp.tanh(weight @ x + bias)
+        return self.weights[-1] @ x + self.biases[-1]
