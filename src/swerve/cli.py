@@ -1,0 +1,285 @@
+"""The `swerve` command: a thin layer over the library.
+
+Everything heavy is imported inside the command that needs it, so that `swerve infer` on a work
+folder that holds the answer starts at once.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+
+import swerve
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from swerve.evidence import Evidence
+    from swerve.inference import Inference
+    from swerve.space import Task
+    from swerve.work import Work
+
+app = cyclopts.App(
+    name="swerve",
+    help="Infer which constraint a demonstrator is obeying.",
+    version=swerve.__version__,
+    default_parameter=Parameter(negative=()),
+)
+
+Problem = Annotated[
+    str,
+    Parameter(
+        help="A shipped problem with its parameters, such as 'pendulum?max_torque=10', or "
+        "path/to/file.py:name, or package.module:name."
+    ),
+]
+Tasks = Annotated[
+    Path | None,
+    Parameter(help="CSV or Parquet file with columns demo, start_STATE..., goal_STATE..."),
+]
+WorkFolder = Annotated[
+    Path | None, Parameter(help="Folder that keeps what was learned and sampled for the next call.")
+]
+SolverName = Annotated[
+    str | None,
+    Parameter(
+        help="grid or ppo, with settings as in 'ppo?num_steps=2e7'. [default: what the work "
+        "folder holds, else grid for up to 3 states, else ppo]"
+    ),
+]
+Samples = Annotated[
+    int | None, Parameter(help="Trajectories sampled for each task. [default: 10000]")
+]
+Method = Annotated[str | None, Parameter(help="importance or plain. [default: importance]")]
+Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
+AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")]
+
+
+@app.command
+def infer(
+    problem: Problem,
+    /,
+    *demonstrations: Path,
+    tasks: Tasks = None,
+    solver: SolverName = None,
+    samples: Samples = None,
+    method: Method = None,
+    score: str = "likelihood",
+    seed: Seed = None,
+    work: WorkFolder = None,
+    report: Path | None = None,
+    as_json: AsJson = False,
+) -> None:
+    """Rank the hypotheses of a problem by how well they explain demonstrations.
+
+    Learns and samples whatever the work folder does not hold yet. Without demonstrations the
+    ranking is the prior one: what unconstrained trajectories enter most often comes first.
+
+    Args:
+      demonstrations: CSV or Parquet files whose columns include the states' names.
+      score: likelihood, or average: the paper's average violation probability.
+      report: HTML page to write, with the picture, the ranking and the diagnostics.
+    """
+    from swerve.inference import infer as infer_constraints
+
+    job = _work(problem, work)
+    found = _read(job, demonstrations, tasks)
+    asked = _asked_tasks(job, found, tasks)
+    evidence = job.evidence(asked, solver, _settings(samples, method, seed))
+    if not found and asked is not None:
+        evidence = _only(evidence, asked)
+    _show(infer_constraints(evidence, found, score=score), report, as_json)
+
+
+@app.command
+def learn(
+    problem: Problem,
+    /,
+    *,
+    work: Path,
+    solver: SolverName = None,
+    seed: Seed = None,
+) -> None:
+    """Learn the nominal distribution of a problem into a work folder.
+
+    Training that is interrupted goes on where it stopped when the same command is given again.
+    """
+    job = _work(problem, work)
+    nominal = job.nominal(solver, seed)
+    _say(f"learned with {nominal.solver!r}; next: swerve sample or swerve infer, --work {work}")
+
+
+@app.command
+def sample(
+    problem: Problem,
+    /,
+    *,
+    work: Path,
+    tasks: Tasks = None,
+    solver: SolverName = None,
+    samples: Samples = None,
+    method: Method = None,
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Sample the nominal distribution for tasks, so that inference is instant afterwards."""
+    job = _work(problem, work)
+    evidence = job.evidence(_asked_tasks(job, [], tasks), solver, _settings(samples, method, seed))
+    rows = [
+        {
+            "start": evidence.tasks.start[k].tolist(),
+            "goal": evidence.tasks.goal[k].tolist(),
+            "effective_sample_size": float(evidence.effective_sample_size[k]),
+            "kl": float(evidence.kl[k]),
+            "log_partition": float(evidence.log_partition[k]),
+        }
+        for k in range(evidence.num_tasks)
+    ]
+    if as_json:
+        print(json.dumps({"num_trajectories": evidence.num_trajectories, "tasks": rows}))
+        return
+    print(f"{evidence.num_trajectories} trajectories for each of {evidence.num_tasks} tasks")
+    print(f"{'task':>4}  {'ESS':>8}  {'KL [nats]':>9}  {'log Z_0':>9}  start -> goal")
+    for k, row in enumerate(rows):
+        print(
+            f"{k:>4}  {row['effective_sample_size']:>8.0f}  {row['kl']:>9.3f}  "
+            f"{row['log_partition']:>9.3f}  {_numbers(row['start'])} -> {_numbers(row['goal'])}"
+        )
+
+
+@app.command
+def demonstrate(
+    problem: Problem,
+    /,
+    *,
+    constraint: int,
+    out: Path,
+    num: int = 10,
+    tasks: Tasks = None,
+    seed: int = 0,
+) -> None:
+    """Make demonstrations that obey one of the hypotheses, by sampling pi_c with the grid solver.
+
+    Args:
+      constraint: Index of the hypothesis to obey.
+      out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
+      num: How many; of as many tasks drawn from the MDP unless --tasks is given.
+    """
+    from swerve.demonstrations import read_tasks, write_demonstrations
+    from swerve.demonstrators.boltzmann import demonstrate as draw
+    from swerve.demonstrators.boltzmann import draw_tasks
+
+    job = _work(problem, None)
+    record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
+    if tasks is not None:
+        rows = read_tasks(tasks, record.space, record.goal_names)
+        batch = swerve.Task.stack(list(rows.values())[:num])
+    else:
+        batch = draw_tasks(job.problem, forbidden, num, seed=seed)
+    made = draw(job.problem, forbidden, batch, seed=seed, progress=True)
+    write_demonstrations(
+        out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
+    )
+    _say(f"wrote {len(made)} demonstrations that avoid {forbidden.name} to {out}")
+
+
+@app.command
+def demo(*, work: WorkFolder = None, report: Path = Path("swerve-demo.html")) -> None:
+    """Show what Swerve does: bundled demonstrations, minutes of work, a report at the end.
+
+    A pendulum is swung to its goals as if nothing were in the way, except that there is: find out
+    where. The demonstrations were made by `swerve demonstrate`.
+    """
+    from swerve.demo import FOLDER, PROBLEM
+
+    files = sorted(FOLDER.glob("demo_*.csv"))
+    _say(f"{len(files)} demonstrations of {PROBLEM} in {FOLDER}")
+    infer(PROBLEM, *files, tasks=FOLDER / "tasks.csv", work=work, report=report)
+
+
+def main() -> None:
+    """Run the command; errors become one line and an exit status."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        _say("interrupted; the same command goes on from what --work holds")
+        sys.exit(130)
+    except (ValueError, OSError) as error:
+        _say(f"swerve: error: {error}")
+        sys.exit(1)
+
+
+def _work(problem: str, folder: Path | None) -> Work:
+    from swerve.work import Work
+
+    return Work(problem, folder, say=_say, progress=True)
+
+
+def _settings(samples: int | None, method: str | None, seed: int | None) -> Any:
+    from swerve.work import SampleSettings
+
+    return SampleSettings(samples, method, seed)
+
+
+def _read(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[Any]:
+    """Read demonstration files as the problem wants them."""
+    from swerve.demonstrations import read_demonstrations
+
+    if not paths:
+        return []
+    record = job.record
+    return read_demonstrations(
+        paths,
+        record.space,
+        tasks=tasks,
+        goal_names=record.goal_names,
+        action_names=record.action_names,
+        goal_of=job.goal_of if tasks is None else None,
+    )
+
+
+def _asked_tasks(job: Work, demonstrations: list[Any], tasks: Path | None) -> Task | None:
+    """Return the tasks of the demonstrations, or else of the file, or else None."""
+    from swerve.demonstrations import read_tasks
+    from swerve.space import Task
+
+    if demonstrations:
+        return Task.stack([demonstration.task for demonstration in demonstrations])
+    if tasks is None:
+        return None
+    return Task.stack(list(read_tasks(tasks, job.record.space, job.record.goal_names).values()))
+
+
+def _only(evidence: Evidence, tasks: Task) -> Evidence:
+    """Return the part of evidence that is about these tasks."""
+    indices = {evidence.match(type(tasks)(*task)) for task in zip(*tasks, strict=True)}
+    return evidence.select(sorted(indices))
+
+
+def _show(result: Inference, report: Path | None, as_json: bool) -> None:
+    """Print a result, and write its report if one is asked for."""
+    if report is not None:
+        result.report(report)
+    for warning in result.warnings:
+        _say(f"warning: {warning}")
+    if as_json:
+        print(json.dumps(result.to_json()))
+        return
+    print(result.evidence.problem.summary)
+    print(result.headline)
+    print(result.table())
+    if report is not None:
+        print(f"report: {report}")
+
+
+def _numbers(values: np.ndarray | list[float]) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)

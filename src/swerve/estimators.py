@@ -1,0 +1,168 @@
+"""Self-normalised importance sampling: one estimator for every method of sampling.
+
+With log-weights l(xi) = beta R(xi) + log m(xi) - log pi(xi) of N trajectories drawn from pi,
+
+    log Z_0 ~ logsumexp(l) - log N,    Z_c / Z_0 ~ sum_k w_k 1[xi_k avoids c] / sum_k w_k,
+
+w = exp(l). With equal weights the second is the paper's Theorem 1. Everything is float64.
+
+Shapes: N trajectories, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+BLOCK = 1024  # hypotheses unpacked at a time, a multiple of 8
+
+
+class Estimate(NamedTuple):
+    """Estimates of Z_c / Z_0 for H hypotheses.
+
+    Attributes:
+      avoid_probability: [H] Z_c / Z_0, the nominal probability of avoiding c.
+      avoid_variance: [H] its sampling variance (delta method).
+    """
+
+    avoid_probability: np.ndarray
+    avoid_variance: np.ndarray
+
+
+def log_weights(
+    total_reward: np.ndarray,
+    log_probability: np.ndarray,
+    length: np.ndarray,
+    *,
+    beta: float,
+    measure: str,
+    num_actions: int,
+) -> np.ndarray:
+    """Return l = beta R + log m - log pi [...], in nats; -inf where a known constraint is entered.
+
+    Args:
+      total_reward: [...] R(xi).
+      log_probability: [...] log pi(xi).
+      length: [...] steps taken.
+      beta: inverse temperature of the target.
+      measure: "uniform", m = A^-length, or "counting", m = 1.
+      num_actions: A.
+
+    Raises:
+      ValueError: if a weight is NaN or +inf.
+    """
+    total_reward, log_probability = np.float64(total_reward), np.float64(log_probability)
+    forbidden = np.isneginf(total_reward)
+    log_weight = beta * np.where(forbidden, 0.0, total_reward) - log_probability
+    if measure == "uniform":
+        log_weight = log_weight - length * math.log(num_actions)
+    if not np.isfinite(log_weight).all():
+        raise ValueError(
+            f"{np.count_nonzero(~np.isfinite(log_weight))} of {log_weight.size} log-weights are "
+            "not finite: the reward or the policy returned NaN or an infinite value"
+        )
+    return np.where(forbidden, -np.inf, log_weight)
+
+
+def normalise(log_weight: np.ndarray) -> np.ndarray:
+    """Return weights [N] that sum to 1.
+
+    Raises:
+      ValueError: if every log-weight is -inf.
+    """
+    largest = log_weight.max()
+    if np.isneginf(largest):
+        raise ValueError(
+            f"all {log_weight.size} sampled trajectories enter a known constraint: nothing is left "
+            "to weigh; check the known constraints and the starts, or use a better policy"
+        )
+    weight = np.exp(log_weight - largest)
+    return weight / weight.sum()
+
+
+def log_partition(log_weight: np.ndarray) -> float:
+    """Return the estimate of log Z_0 [nats] from log-weights [N]."""
+    largest = log_weight.max()
+    return float(largest + np.log(np.mean(np.exp(log_weight - largest))))
+
+
+def effective_sample_size(log_weight: np.ndarray) -> float:
+    """Return (sum w)^2 / sum w^2, between 1 and N."""
+    return float(1.0 / np.sum(normalise(log_weight) ** 2))
+
+
+def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:
+    """Return KL(pi || pi_0) = log Z_0 - E_pi[l] [nats].
+
+    Where some trajectories enter a known constraint it is that of pi restricted to those that do
+    not, which is what the estimates rest on.
+
+    Args:
+      log_weight: [N] of trajectories drawn from pi.
+      log_partition: log Z_0; exact for a measurement, estimated for an alarm.
+    """
+    allowed = log_weight[np.isfinite(log_weight)]
+    return float(log_partition - allowed.mean() - math.log(len(allowed) / len(log_weight)))
+
+
+def avoid_probability(
+    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int
+) -> Estimate:
+    """Estimate Z_c / Z_0 for every hypothesis (the paper, Theorem 1; METHOD: self-normalised).
+
+    Args:
+      log_weight: [N] log target minus log proposal density, nats; equal for Theorem 1.
+      violations: [N, ceil(H / 8)] packed bits, set where trajectory n enters hypothesis h.
+      num_hypotheses: H.
+
+    Returns:
+      Estimate with [H] probabilities and variances.
+
+    Raises:
+      ValueError: if N differs.
+    """
+    if len(log_weight) != len(violations):
+        raise ValueError(
+            f"expected one row of violations a log-weight, got {len(violations)} rows and "
+            f"{len(log_weight)} weights"
+        )
+    weight = normalise(log_weight)
+    rows = np.stack([weight, weight**2])
+    sums = []
+    for first in range(0, num_hypotheses, BLOCK):
+        count = min(BLOCK, num_hypotheses - first)
+        block = violations[:, first // 8 : (first + count + 7) // 8]
+        entered = np.unpackbits(block, axis=1, count=count, bitorder="little")
+        sums.append(rows @ (1.0 - entered))
+    avoided, avoided_square = np.concatenate(sums, axis=1)
+    # sum w^2 (1[avoids] - p)^2, expanded
+    variance = avoided_square * (1.0 - 2.0 * avoided) + avoided**2 * np.sum(weight**2)
+    return Estimate(np.minimum(avoided, 1.0), np.maximum(variance, 0.0))
+
+
+def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:
+    """Return e with P(|error| > e) <= 1 - confidence for N equal weights (the paper, III-C.2).
+
+    Raises:
+      ValueError: if `confidence` is not between 0 and 1.
+    """
+    return math.sqrt(math.log(2.0 / _miss_probability(confidence)) / (2.0 * num_trajectories))
+
+
+def hoeffding_sample_size(error: float, confidence: float = 0.95) -> int:
+    """Return how many trajectories of equal weight bound the error (the paper, III-C.2).
+
+    Raises:
+      ValueError: if `error` or `confidence` is not between 0 and 1.
+    """
+    if not 0.0 < error < 1.0:
+        raise ValueError(f"error: expected a number between 0 and 1, got {error}")
+    return math.ceil(math.log(2.0 / _miss_probability(confidence)) / (2.0 * error**2))
+
+
+def _miss_probability(confidence: float) -> float:
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected a number between 0 and 1, got {confidence}")
+    return 1.0 - confidence

@@ -1,0 +1,335 @@
+"""What sampling the nominal distribution tells: for each task, how often each hypothesis is entered.
+
+    log_ratio[task, c] = log(Z_c / Z_0) = log P_{xi ~ pi_0}(xi avoids c)    (the paper, Theorem 1)
+
+Evidence is all that inference needs. It keeps N trajectories a task as numbers and bits, summed up
+in small tables that are read without them.
+
+Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, n states, g goal dimensions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swerve import estimators, store
+from swerve.problem import ProblemRecord
+from swerve.space import Task
+
+KIND = "swerve-evidence"
+VERSION = 1
+METHODS = ("importance", "plain")
+MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
+
+
+class Samples(NamedTuple):
+    """Sampled trajectories reduced to what estimates need.
+
+    Attributes:
+      total_reward: [K, N] R(xi); -inf where a known constraint was entered.
+      log_probability: [K, N] log pi(xi) under the policy that drew it, nats.
+      length: [K, N] steps taken.
+      violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
+      kept: [K, M, T+1, n] a few whole trajectories, drawn by weight, for pictures.
+    """
+
+    total_reward: np.ndarray
+    log_probability: np.ndarray
+    length: np.ndarray
+    violations: np.ndarray
+    kept: np.ndarray
+
+
+class Summary(NamedTuple):
+    """Estimates for each task, the part of evidence that inference reads.
+
+    Attributes:
+      avoid_probability: [K, H] Z_c / Z_0.
+      avoid_variance: [K, H] its sampling variance.
+      log_partition: [K] log Z_0, nats.
+      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats.
+      effective_sample_size: [K] of the importance weights, whatever the method.
+    """
+
+    avoid_probability: np.ndarray
+    avoid_variance: np.ndarray
+    log_partition: np.ndarray
+    kl: np.ndarray
+    effective_sample_size: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
+
+    Attributes:
+      problem: what was sampled.
+      tasks: starts [K, n] and goals [K, g].
+      method: "importance" or "plain" (all weights equal, the paper's estimate).
+      num_trajectories: N a task.
+      solver: the solver and its settings, for people.
+      seed: of the sampling.
+      summary: the estimates.
+    """
+
+    problem: ProblemRecord
+    tasks: Task
+    method: str
+    num_trajectories: int
+    solver: str
+    seed: int
+    summary: Summary
+    load_samples: Callable[[], Samples] = dataclasses.field(repr=False)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The trajectories, reduced; read from the file on first use."""
+        return self.load_samples()
+
+    @property
+    def num_tasks(self) -> int:
+        """K."""
+        return len(self.tasks.start)
+
+    @property
+    def violation_probability(self) -> np.ndarray:
+        """[K, H] probability that a nominal trajectory enters each hypothesis, 1 - Z_c / Z_0."""
+        return 1.0 - self.summary.avoid_probability
+
+    @property
+    def is_floored(self) -> np.ndarray:
+        """[K, H] True where fewer than one trajectory in N avoids a hypothesis.
+
+        The samples then only say that the ratio is small: its log is given as -log N.
+        """
+        return self.summary.avoid_probability < 1.0 / self.num_trajectories
+
+    @property
+    def log_ratio(self) -> np.ndarray:
+        """[K, H] log(Z_c / Z_0) in nats, at least -log N."""
+        return np.log(np.maximum(self.summary.avoid_probability, 1.0 / self.num_trajectories))
+
+    @property
+    def standard_error(self) -> np.ndarray:
+        """[K, H] standard error of `log_ratio` in nats (delta method).
+
+        At least 1 / ESS, what one more trajectory could change; 1 where the ratio is floored.
+        """
+        floor = 1.0 / self.num_trajectories
+        relative = np.sqrt(self.summary.avoid_variance) / np.maximum(
+            self.summary.avoid_probability, floor
+        )
+        least = 1.0 / self.effective_sample_size[:, None]
+        return np.where(self.is_floored, 1.0, np.maximum(relative, least))
+
+    @property
+    def log_partition(self) -> np.ndarray:
+        """[K] log Z_0, nats."""
+        return self.summary.log_partition
+
+    @property
+    def kl(self) -> np.ndarray:
+        """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement."""
+        return self.summary.kl
+
+    @property
+    def effective_sample_size(self) -> np.ndarray:
+        """[K] effective sample size of the importance weights, whatever the method.
+
+        With method "plain" all N are weighed alike, and this says how far they can be trusted.
+        """
+        return self.summary.effective_sample_size
+
+    @cached_property
+    def log_weight(self) -> np.ndarray:
+        """[K, N] log-weights l that `method` uses, nats; all 0 for "plain"."""
+        log_weight = self.importance_log_weight
+        return _equalise(log_weight) if self.method == "plain" else log_weight
+
+    @property
+    def importance_log_weight(self) -> np.ndarray:
+        """[K, N] l = beta R + log m - log pi, nats."""
+        return _log_weights(self.problem, self.samples)
+
+    def hoeffding_error(self, confidence: float = 0.95) -> float:
+        """Return the bound on each probability's error (the paper, III-C.2); equal weights only.
+
+        It holds for what the policy does, not for how far the policy is from pi_0.
+
+        Raises:
+          ValueError: if the weights are not equal.
+        """
+        if self.method != "plain":
+            raise ValueError(
+                f"Hoeffding's bound needs equal weights (method 'plain'), this evidence was made "
+                f"by {self.method!r}: use standard_error"
+            )
+        return estimators.hoeffding_error(self.num_trajectories, confidence)
+
+    def find(self, task: Task) -> int | None:
+        """Return the index of the task with the same start and goal, or None.
+
+        The same means within MATCH_TOLERANCE of each state's extent.
+        """
+        distance = self._distance(task)
+        nearest = int(distance.argmin())
+        return nearest if distance[nearest] <= MATCH_TOLERANCE else None
+
+    def match(self, task: Task, name: str = "the task") -> int:
+        """Return the index of the task with the same start and goal, as `find` does.
+
+        Raises:
+          ValueError: if there is none; the message names the nearest.
+        """
+        found = self.find(task)
+        if found is None:
+            nearest = int(self._distance(task).argmin())
+            raise ValueError(
+                f"{name}: no evidence for start {_numbers(task.start)} and goal "
+                f"{_numbers(task.goal)}; the nearest of {self.num_tasks} tasks is start "
+                f"{_numbers(self.tasks.start[nearest])}, goal {_numbers(self.tasks.goal[nearest])}. "
+                "Sample this task too: swerve.sample(nominal, tasks)"
+            )
+        return found
+
+    def _distance(self, task: Task) -> np.ndarray:
+        """Return how far each task [K] is from a task, in units of the states' extent."""
+        return np.maximum(
+            self.problem.space.relative_distance(self.tasks.start, np.asarray(task.start, float)),
+            _goal_distance(self.problem, self.tasks.goal, np.asarray(task.goal, float)),
+        )
+
+    def select(self, indices: list[int]) -> Evidence:
+        """Return evidence for some of the tasks, in the order given."""
+        samples = self.samples
+        return dataclasses.replace(
+            self,
+            tasks=Task(*(values[indices] for values in self.tasks)),
+            summary=Summary(*(values[indices] for values in self.summary)),
+            load_samples=lambda: Samples(*(values[indices] for values in samples)),
+        )
+
+    def joined(self, other: Evidence) -> Evidence:
+        """Return evidence for the tasks of both.
+
+        Raises:
+          ValueError: if they differ in problem, method, solver or number of trajectories.
+        """
+        for field in ("method", "num_trajectories", "solver", "seed"):
+            if getattr(self, field) != getattr(other, field):
+                raise ValueError(
+                    f"evidence of different {field} cannot be joined: "
+                    f"{getattr(self, field)!r} and {getattr(other, field)!r}"
+                )
+        if self.problem.fingerprint != other.problem.fingerprint:
+            raise ValueError(
+                "evidence of different problems cannot be joined: "
+                f"{self.problem.summary} and {other.problem.summary}"
+            )
+        samples = Samples(*map(_concatenate, self.samples, other.samples))
+        return dataclasses.replace(
+            self,
+            tasks=Task(*map(_concatenate, self.tasks, other.tasks)),
+            summary=Summary(*map(_concatenate, self.summary, other.summary)),
+            load_samples=lambda: samples,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the evidence to one file, atomically."""
+        header = {
+            "problem": self.problem.to_json(),
+            "method": self.method,
+            "num_trajectories": self.num_trajectories,
+            "solver": self.solver,
+            "seed": self.seed,
+        }
+        parts = {"tasks": self.tasks, "summary": self.summary, "samples": self.samples}
+        arrays = {
+            f"{part}/{name}": array
+            for part, values in parts.items()
+            for name, array in values._asdict().items()
+        }
+        store.write(path, KIND, VERSION, header, arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Evidence:
+        """Read evidence; the trajectories' part is read and checked when first used.
+
+        Raises:
+          store.StoreError: if the file is cut short, altered, or of another kind or version.
+        """
+        stored = store.open_file(path, KIND, VERSION)
+
+        def read(kind: type, part: str) -> Any:
+            return kind(*(stored.array(f"{part}/{name}") for name in kind._fields))
+
+        return cls(
+            problem=ProblemRecord.from_json(stored.header["problem"]),
+            tasks=read(Task, "tasks"),
+            method=stored.header["method"],
+            num_trajectories=stored.header["num_trajectories"],
+            solver=stored.header["solver"],
+            seed=stored.header["seed"],
+            summary=read(Summary, "summary"),
+            load_samples=lambda: read(Samples, "samples"),
+        )
+
+
+def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
+    """Estimate what inference needs from sampled trajectories of K tasks."""
+    rows = []
+    for log_weight, violations in zip(
+        _log_weights(problem, samples), samples.violations, strict=True
+    ):
+        used = _equalise(log_weight) if method == "plain" else log_weight
+        estimate = estimators.avoid_probability(used, violations, len(problem.hypotheses))
+        log_partition = estimators.log_partition(log_weight)
+        rows.append(
+            (
+                *estimate,
+                log_partition,
+                estimators.kl_divergence(log_weight, log_partition),
+                estimators.effective_sample_size(log_weight),
+            )
+        )
+    return Summary(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def _log_weights(problem: ProblemRecord, samples: Samples) -> np.ndarray:
+    return estimators.log_weights(
+        samples.total_reward,
+        samples.log_probability,
+        samples.length,
+        beta=problem.beta,
+        measure=problem.measure,
+        num_actions=problem.num_actions,
+    )
+
+
+def _equalise(log_weight: np.ndarray) -> np.ndarray:
+    """Return 0 where a trajectory is allowed, -inf where it entered a known constraint."""
+    return np.where(np.isfinite(log_weight), 0.0, -np.inf)
+
+
+def _goal_distance(problem: ProblemRecord, goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Return how far goals [K, g] are from one goal [g], in units of the states' extent."""
+    if problem.goal_names == problem.space.names:
+        return problem.space.relative_distance(goals, goal)
+    if not goals.shape[-1]:
+        return np.zeros(len(goals))
+    return (np.abs(goals - goal) / np.maximum(1.0, np.abs(goal))).max(axis=-1)
+
+
+def _concatenate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.concatenate([a, b])
+
+
+def _numbers(values: Any) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in np.asarray(values)) + ")"

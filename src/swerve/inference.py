@@ -1,0 +1,309 @@
+"""Which constraint do demonstrations obey: the ranking of hypotheses.
+
+Demonstrations that all avoid c have, against no constraint at all, the log-likelihood ratio
+
+    log L(c) = - sum_i log(Z_c / Z_0)(task_i) >= 0 nats;
+
+one that enters c rules it out. The most likely constraint is the one that no demonstration enters
+although the nominal distribution would have entered it most often.
+
+Shapes: D demonstrations, K tasks, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swerve.demonstrations import Demonstration, check_states
+from swerve.evidence import Evidence
+from swerve.hypotheses import unpack
+
+SCORES = ("likelihood", "average")
+TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
+LOW_ESS_SHARE = 0.02
+LOW_ESS = 100.0
+TABLE_ROWS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """A ranking of hypotheses.
+
+    Attributes:
+      evidence: what it rests on.
+      demonstrations: the D demonstrations.
+      task_of: [D] index of each demonstration's task in the evidence.
+      entered: [D, H] True where a demonstration enters a hypothesis.
+      score_name: "likelihood" or "average".
+    """
+
+    evidence: Evidence
+    demonstrations: tuple[Demonstration, ...]
+    task_of: np.ndarray
+    entered: np.ndarray
+    score_name: str
+
+    @cached_property
+    def task_counts(self) -> np.ndarray:
+        """[K] demonstrations of each task; all 1 where there are none (the prior ranking)."""
+        if not self.demonstrations:
+            return np.ones(self.evidence.num_tasks, int)
+        return np.bincount(self.task_of, minlength=self.evidence.num_tasks)
+
+    @cached_property
+    def struck_out(self) -> np.ndarray:
+        """[H] True where at least one demonstration enters the hypothesis."""
+        return self.entered.any(axis=0)
+
+    @cached_property
+    def log_likelihood(self) -> np.ndarray:
+        """[H] log-likelihood ratio against no constraint [nats]; -inf where struck out."""
+        value = -self.task_counts @ self.evidence.log_ratio
+        return np.where(self.struck_out, -np.inf, value)
+
+    @cached_property
+    def standard_error(self) -> np.ndarray:
+        """[H] standard error of `log_likelihood` [nats]; tasks are sampled independently."""
+        return np.sqrt(self.task_counts**2 @ self.evidence.standard_error**2)
+
+    @cached_property
+    def average_violation(self) -> np.ndarray:
+        """[H] violation probability averaged over the demonstrations (the paper's score)."""
+        return self.task_counts @ self.evidence.violation_probability / self.task_counts.sum()
+
+    @cached_property
+    def average_standard_error(self) -> np.ndarray:
+        """[H] standard error of `average_violation`."""
+        variance = self.task_counts**2 @ self.evidence.summary.avoid_variance
+        return np.sqrt(variance) / self.task_counts.sum()
+
+    @property
+    def score(self) -> np.ndarray:
+        """[H] what the ranking is by; -inf where struck out."""
+        if self.score_name == "likelihood":
+            return self.log_likelihood
+        return np.where(self.struck_out, -np.inf, self.average_violation)
+
+    @property
+    def score_error(self) -> np.ndarray:
+        """[H] standard error of `score`."""
+        if self.score_name == "likelihood":
+            return self.standard_error
+        return self.average_standard_error
+
+    @cached_property
+    def ranking(self) -> np.ndarray:
+        """Hypotheses that are left, best first; equal scores in order of index."""
+        order = np.argsort(-self.score, kind="stable")
+        return order[: np.count_nonzero(~self.struck_out)]
+
+    @cached_property
+    def rank(self) -> np.ndarray:
+        """Rank of each entry of `ranking`, from 1; hypotheses tied with the first of their group
+        share its rank.
+
+        Two are tied where their scores differ by at most twice the sum of their standard errors,
+        which bounds the error of the difference however the samples are correlated.
+        """
+        score, error = self.score[self.ranking], self.score_error[self.ranking]
+        rank = np.ones(len(score), int)
+        first = 0
+        for k in range(1, len(score)):
+            if score[first] - score[k] > TIE_ERRORS * (error[first] + error[k]):
+                first = k
+            rank[k] = first + 1
+        return rank
+
+    @property
+    def leaders(self) -> np.ndarray:
+        """The hypotheses that share the first rank."""
+        return self.ranking[self.rank == 1]
+
+    @property
+    def headline(self) -> str:
+        """The answer in one sentence."""
+        if not len(self.ranking):
+            return "No hypothesis is left: every one is entered by a demonstration."
+        best = self.ranking[0]
+        what = f"{best}: {self.hypothesis_name(best)}"
+        basis = (
+            f"{len(self.demonstrations)} demonstrations"
+            if self.demonstrations
+            else "no demonstration"
+        )
+        value = (
+            f"{self.log_likelihood[best]:.2f} +- {self.standard_error[best]:.2f} nats against no "
+            f"constraint ({basis})"
+        )
+        if len(self.leaders) > 1:
+            return f"{len(self.leaders)} hypotheses are tied, among them {what}, {value}"
+        return f"Most likely constraint {what}, {value}"
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against trusting the ranking, in plain words; empty if nothing does."""
+        return (*self._exhausted(), *self._low_samples(), *self._floored())
+
+    def _exhausted(self) -> list[str]:
+        if len(self.ranking):
+            return []
+        worst = self.demonstrations[int(self.entered.sum(axis=1).argmax())]
+        return [
+            f"no hypothesis is left: each of the {len(self.struck_out)} is entered by at least one "
+            f"demonstration ({worst.name} alone enters {self.entered.sum(axis=1).max()}). The "
+            "constraint is not among the hypotheses, or the demonstrations are not of this problem"
+        ]
+
+    def _low_samples(self) -> list[str]:
+        ess, num = self.evidence.effective_sample_size, self.evidence.num_trajectories
+        low = (ess < max(LOW_ESS, LOW_ESS_SHARE * num)) & (self.task_counts > 0)
+        if not low.any():
+            return []
+        worst = int(np.flatnonzero(low)[ess[low].argmin()])
+        return [
+            f"not to be trusted: the effective sample size is too low for {low.sum()} of "
+            f"{np.count_nonzero(self.task_counts)} tasks (worst: {self.task_name(worst)}, "
+            f"{ess[worst]:.0f} of {num}). The policy is far from pi_0: train it longer, or use "
+            "--solver grid where the state has at most 3 dimensions"
+        ]
+
+    def _floored(self) -> list[str]:
+        used = self.task_counts > 0
+        floored = self.evidence.is_floored[used].any(axis=0)[self.leaders]
+        if not floored.any():
+            return []
+        return [
+            f"hypothesis {self.leaders[floored][0]} is entered by almost every nominal trajectory "
+            f"of a task: its score is a lower bound, at most log N = "
+            f"{math.log(self.evidence.num_trajectories):.1f} nats a demonstration"
+        ]
+
+    def task_name(self, task: int) -> str:
+        """Return the names of the demonstrations of a task, or its number."""
+        names = [
+            d.name for d, k in zip(self.demonstrations, self.task_of, strict=True) if k == task
+        ]
+        return ", ".join(names) if names else f"task {task}"
+
+    def hypothesis_name(self, index: int) -> str:
+        """Return what a hypothesis is called, for example 'theta [3.14, 3.77), omega [0, 1.2)'."""
+        return self.evidence.problem.hypotheses.name(int(index))
+
+    def table(self, num_rows: int = TABLE_ROWS) -> str:
+        """Return the head of the ranking as text."""
+        lines = [f"{'rank':>5} {'index':>6}  {'nats':>8} {'+-':>6}  {'violated':>8}  hypothesis"]
+        for index, rank in list(zip(self.ranking, self.rank, strict=True))[:num_rows]:
+            tied = "=" if np.count_nonzero(self.rank == rank) > 1 else " "
+            lines.append(
+                f"{rank:>4}{tied} {index:>6}  {self.log_likelihood[index]:>8.2f} "
+                f"{self.standard_error[index]:>6.2f}  {self.average_violation[index]:>8.3f}  "
+                f"{self.hypothesis_name(index)}"
+            )
+        if len(self.ranking) > num_rows:
+            lines.append(f"      ... {len(self.ranking) - num_rows} more")
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the ranking, best first, and diagnostics per task, as JSON data."""
+        return {
+            "problem": self.evidence.problem.summary,
+            "score": self.score_name,
+            "num_demonstrations": len(self.demonstrations),
+            "ranking": [
+                {
+                    "index": int(index),
+                    "name": self.hypothesis_name(index),
+                    "log_likelihood": float(self.log_likelihood[index]),
+                    "standard_error": float(self.standard_error[index]),
+                    "average_violation": float(self.average_violation[index]),
+                    "rank": int(rank),
+                }
+                for index, rank in zip(self.ranking, self.rank, strict=True)
+            ],
+            "num_struck_out": int(self.struck_out.sum()),
+            "warnings": list(self.warnings),
+            "diagnostics": [self._task_diagnostics(k) for k in np.flatnonzero(self.task_counts)],
+        }
+
+    def _task_diagnostics(self, task: int) -> dict[str, Any]:
+        evidence = self.evidence
+        return {
+            "task": int(task),
+            "demonstrations": [
+                d.name for d, k in zip(self.demonstrations, self.task_of, strict=True) if k == task
+            ],
+            "start": evidence.tasks.start[task].tolist(),
+            "goal": evidence.tasks.goal[task].tolist(),
+            "solver": evidence.solver,
+            "method": evidence.method,
+            "num_trajectories": evidence.num_trajectories,
+            "effective_sample_size": float(evidence.effective_sample_size[task]),
+            "log_partition": float(evidence.log_partition[task]),
+            "kl": float(evidence.kl[task]),
+        }
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw the hypotheses shaded by score, nominal trajectories and demonstrations.
+
+        Args:
+          path: a file to write (its suffix tells the format), or None.
+
+        Returns:
+          The matplotlib Figure.
+        """
+        from swerve.plots import plot_inference
+
+        return plot_inference(self, path)
+
+    def report(self, path: str | Path) -> None:
+        """Write one self-contained HTML page with the picture, the table and the diagnostics."""
+        from swerve.report import write_report
+
+        write_report(self, path)
+
+
+def infer(
+    evidence: Evidence,
+    demonstrations: Sequence[Demonstration] = (),
+    *,
+    score: str = "likelihood",
+) -> Inference:
+    """Rank the hypotheses by how well they explain the demonstrations.
+
+    Args:
+      evidence: violation probabilities for the tasks of all demonstrations.
+      demonstrations: finished ones; with none, the ranking is the prior one (Theorem 1: what the
+        nominal distribution enters most often comes first) over all tasks of the evidence.
+      score: "likelihood", or "average": the paper's average violation probability.
+
+    Returns:
+      The ranking.
+
+    Raises:
+      ValueError: if a demonstration has no evidence for its task, or does not fit the problem.
+    """
+    if score not in SCORES:
+        raise ValueError(f"score: expected one of {', '.join(SCORES)}, got {score!r}")
+    problem = evidence.problem
+    demonstrations = tuple(demonstrations)
+    task_of, rows = [], []
+    for demonstration in demonstrations:
+        check_states(demonstration.states, demonstration.times, problem.space, demonstration.name)
+        task_of.append(evidence.match(demonstration.task, demonstration.name))
+        rows.append(
+            problem.hypotheses.violations(
+                demonstration.states[None], problem.space, problem.between_states
+            )[0]
+        )
+    num_hypotheses = len(problem.hypotheses)
+    entered = np.zeros((0, num_hypotheses), bool)
+    if rows:
+        entered = unpack(np.stack(rows), num_hypotheses)
+    return Inference(evidence, demonstrations, np.array(task_of, int), entered, score)

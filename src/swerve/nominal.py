@@ -1,0 +1,153 @@
+"""The nominal distribution pi_0: what a solver learns, and how it is kept.
+
+A nominal yields, for every goal, a policy whose trajectories follow pi_0 as nearly as the solver
+can make them; importance weights take care of the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from swerve import store
+from swerve.problem import Problem
+from swerve.solvers.grid import MAX_DIMENSIONS, Grid
+from swerve.solvers.ppo import PPO
+from swerve.space import Task
+from swerve.specification import Specification, build
+from swerve.trajectory import Policy
+
+KIND = "swerve-nominal"
+VERSION = 1
+
+
+class Nominal(Protocol):
+    """An approximation of pi_0 for every goal of a problem.
+
+    Attributes:
+      problem: what it was learned for.
+      solver: how.
+    """
+
+    @property
+    def problem(self) -> Problem: ...
+    @property
+    def solver(self) -> Solver: ...
+
+    def policies(self, goals: np.ndarray) -> Iterator[Policy]:
+        """Yield the policy of each goal [G, g] in turn."""
+        ...
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the learned numbers, to be stored."""
+        ...
+
+
+class Solver(Protocol):
+    """A way to pi_0: a frozen dataclass of settings.
+
+    Attributes:
+      name: what the command line calls it.
+    """
+
+    name: str
+
+    def learn(
+        self,
+        problem: Problem,
+        *,
+        tasks: Task | None,
+        seed: int,
+        progress: bool,
+        checkpoint: Path | None,
+    ) -> Nominal:
+        """Learn pi_0."""
+        ...
+
+    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> Nominal:
+        """Rebuild what `learn` returned from its `arrays`."""
+        ...
+
+
+SOLVERS: dict[str, type[Solver]] = {"grid": Grid, "ppo": PPO}
+
+
+def learn(
+    problem: Problem,
+    solver: str | Solver = "grid",
+    *,
+    tasks: Task | None = None,
+    seed: int = 0,
+    progress: bool = False,
+    checkpoint: str | Path | None = None,
+) -> Nominal:
+    """Learn the nominal distribution of a problem.
+
+    Args:
+      problem: what to learn it for.
+      solver: a solver such as `swerve.PPO(num_steps=20_000_000)`, or its name, with parameters as
+        in "ppo?num_steps=2e7".
+      tasks: those on which solvers that train report their progress; drawn from the MDP if None.
+      seed: of everything random.
+      progress: whether to show a progress bar.
+      checkpoint: a file that training writes as it goes and resumes from.
+
+    Returns:
+      The nominal distribution, ready for `sample` with any tasks.
+
+    Raises:
+      ValueError: if there is no such solver, or it cannot solve this problem.
+    """
+    chosen = resolve_solver(solver) if isinstance(solver, str) else solver
+    path = Path(checkpoint) if checkpoint is not None else None
+    return chosen.learn(problem, tasks=tasks, seed=seed, progress=progress, checkpoint=path)
+
+
+def resolve_solver(text: str) -> Solver:
+    """Return the solver that a text such as "grid" or "ppo?num_steps=2e7" names.
+
+    Raises:
+      ValueError: if there is none of that name, or it has no such parameter.
+    """
+    specification = Specification.parse(text)
+    if specification.target not in SOLVERS:
+        raise ValueError(
+            f"no solver named {specification.target!r}; there are {', '.join(SOLVERS)}"
+        )
+    return build(SOLVERS[specification.target], specification, text)
+
+
+def default_solver(problem: Problem) -> str:
+    """Return the solver to use where none is asked for: the grid wherever one fits."""
+    return "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "ppo"
+
+
+def save_nominal(path: str | Path, nominal: Nominal) -> None:
+    """Write a nominal distribution to one file, atomically."""
+    header = {
+        "problem": nominal.problem.record.fingerprint,
+        "solver": nominal.solver.name,
+        "settings": dataclasses.asdict(nominal.solver),  # pyright: ignore[reportArgumentType]
+    }
+    store.write(path, KIND, VERSION, header, nominal.arrays())
+
+
+def load_nominal(path: str | Path, problem: Problem) -> Nominal:
+    """Read a nominal distribution of this problem.
+
+    Raises:
+      store.StoreError: if the file is cut short, altered, or of another kind, version or problem.
+    """
+    stored = store.open_file(path, KIND, VERSION)
+    if stored.header["problem"] != problem.record.fingerprint:
+        raise store.StoreError(
+            path,
+            f"holds the nominal distribution of another problem, not of {problem.record.summary}",
+            "learn this problem into another file",
+        )
+    solver = SOLVERS[stored.header["solver"]](**stored.header["settings"])
+    return solver.restore(problem, {name: stored.array(name) for name in stored.names})

@@ -1,0 +1,213 @@
+"""The plane that a picture shows: two states, or one state against time.
+
+An angle is drawn over one turn, [turn, turn + 2 pi). A path through it is a line that leaves at one
+edge and comes back at the other; a box across the edge is two rectangles. Constraints of any kind
+become rectangles (x low, x high, y low, y high).
+
+Shapes: L points of a path, R rectangles, H hypotheses, n states.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve.constraints import Box, Constraint
+from swerve.hypotheses import ConstraintHypotheses, GridHypotheses, HypothesisSet
+from swerve.problem import ProblemRecord
+from swerve.space import TWO_PI, StateSpace
+
+TIME = ""
+RASTER = 240  # points a side at which constraints other than boxes are evaluated
+MARGIN = 0.02  # of the range, around paths that leave the hypotheses behind
+ROUNDING = 1e-9
+EVERYTHING = (-math.inf, math.inf)
+
+
+class Path(NamedTuple):
+    """States [L, n] and their times [L] in seconds, or None where they are not known."""
+
+    states: np.ndarray
+    times: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """The two axes of a picture.
+
+    Attributes:
+      space: the state space.
+      names: the state on each axis, TIME for time.
+      has_times: whether time is in seconds; if not, it is the share of a path, from 0 to 1.
+      turns: [2] where the drawn turn of an angle begins [rad], NaN for what is no angle.
+      limits: [2, 2] the drawn range of each axis.
+    """
+
+    space: StateSpace
+    names: tuple[str, str]
+    has_times: bool
+    turns: np.ndarray
+    limits: np.ndarray
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Labels of the axes, with the units that are known."""
+        time = "time [s]" if self.has_times else "share of the trajectory"
+        first, second = (
+            f"{name} [rad]" if name in self.space.angles else name or time for name in self.names
+        )
+        return first, second
+
+    def line(self, path: Path) -> np.ndarray:
+        """Return a path as points [L, 2] without jumps: angles may lie outside the drawn turn."""
+        return _points(path, self.space, self.names, self.has_times)
+
+    def wrapped(self, points: np.ndarray) -> np.ndarray:
+        """Return points [..., 2] with angles moved into the drawn turn."""
+        return np.where(np.isnan(self.turns), points, _wrap(points, self.turns))
+
+    def pieces(self, path: Path) -> np.ndarray:
+        """Return a path inside the drawn turn as points [P, 2], with NaN where the line breaks.
+
+        A piece goes on for one point beyond the edge of the turn, so that it reaches the edge.
+        """
+        points = self.line(path)
+        turn = np.nan_to_num(np.floor((points - self.turns) / TWO_PI))
+        pieces = []
+        for number in itertools.product(*(np.unique(column) for column in turn.T)):
+            shown = np.pad((turn == number).all(axis=1), 1)
+            shown = shown[:-2] | shown[1:-1] | shown[2:]
+            piece = np.where(shown[:, None], points - TWO_PI * np.array(number), np.nan)
+            pieces += [piece, np.full((1, 2), np.nan)]
+        return np.concatenate(pieces[:-1])
+
+    def rectangles(self, constraint: Constraint) -> np.ndarray:
+        """Return [R, 4] rectangles (x low, x high, y low, y high) that show a constraint.
+
+        A box is projected on the plane. Others are cut where the states that are not drawn are in
+        the middle of their bounds. There are none where the constraint is outside the picture or
+        speaks of none of its states, nor for a predicate whose code is missing.
+        """
+        if not isinstance(constraint, Box):
+            return self._raster(constraint)
+        if not set(self.names) & set(constraint.intervals):
+            return np.zeros((0, 4))
+        box = np.array([constraint.intervals.get(name, EVERYTHING) for name in self.names])
+        wraps = ~np.isnan(self.turns) & np.isfinite(box).all(axis=1)
+        shift = np.where(wraps, _wrap(box[:, 0], self.turns) - box[:, 0], 0.0)
+        images = itertools.product(*((0.0, TWO_PI) if wrap else (0.0,) for wrap in wraps))
+        parts = np.array([box + (shift - image)[:, None] for image in images])
+        parts = np.clip(parts, self.limits[:, :1], self.limits[:, 1:])
+        least = ROUNDING * (self.limits[:, 1] - self.limits[:, 0])
+        return parts[(parts[..., 1] - parts[..., 0] > least).all(axis=1)].reshape(-1, 4)
+
+    def _raster(self, constraint: Constraint) -> np.ndarray:
+        edges = [np.linspace(low, high, RASTER + 1) for low, high in self.limits]
+        states = np.tile(self.space.bounds.mean(axis=1), (RASTER, RASTER, 1))
+        middles = np.meshgrid(*(0.5 * (edge[1:] + edge[:-1]) for edge in edges))
+        for name, values in zip(self.names, middles, strict=True):
+            if name != TIME:
+                states[..., self.space.column(name)] = values
+        try:
+            return runs(np.asarray(constraint.contains(states, self.space)), *edges)
+        except ValueError:  # read from a file, which holds no code
+            return np.zeros((0, 4))
+
+
+def plane_of(problem: ProblemRecord, paths: Sequence[Path]) -> Plane:
+    """Choose the plane and its range: the hypotheses and all paths fit in, angles in one turn.
+
+    Args:
+      problem: whose hypotheses name the states to draw.
+      paths: what has to be visible. Time is in seconds if all of them have times.
+    """
+    space, hypotheses = problem.space, problem.hypotheses
+    drawn = hypotheses.state_names
+    if not drawn or (len(drawn) < 2 and hypotheses.needs_code):
+        drawn = tuple(dict.fromkeys((*drawn, *space.names)))
+    first, second = (TIME, *drawn[:2])[-2:]
+    names, has_times = (first, second), all(path.times is not None for path in paths)
+    points = [_points(path, space, names, has_times) for path in paths]
+    everywhere = np.concatenate([np.zeros((0, 2)), *points])
+    axes = [_axis(hypotheses, space, name, everywhere[:, k]) for k, name in enumerate(names)]
+    turns, limits = zip(*axes, strict=True)
+    return Plane(space, names, has_times, np.array(turns), np.array(limits))
+
+
+def runs(mask: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return [R, 4] rectangles that cover the True cells of a mask [len(y) - 1, len(x) - 1].
+
+    Args:
+      mask: cells, the first axis along y.
+      x: the lines between its columns.
+      y: the lines between its rows.
+    """
+    change = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, start = np.nonzero(change == 1)
+    _, stop = np.nonzero(change == -1)
+    return np.stack([x[start], x[stop], y[row], y[row + 1]], axis=1)
+
+
+def _points(path: Path, space: StateSpace, names: tuple[str, str], has_times: bool) -> np.ndarray:
+    columns = []
+    for name in names:
+        if name in space.angles:
+            columns.append(np.unwrap(path.states[:, space.column(name)]))
+        elif name != TIME:
+            columns.append(path.states[:, space.column(name)])
+        elif has_times and path.times is not None:
+            columns.append(path.times - path.times[0])
+        else:
+            columns.append(np.linspace(0.0, 1.0, len(path.states)))
+    return np.stack(columns, axis=1)
+
+
+def _axis(
+    hypotheses: HypothesisSet, space: StateSpace, name: str, values: np.ndarray
+) -> tuple[float, tuple[float, float]]:
+    """Return where the drawn turn of an axis begins, NaN for what is no angle, and its range."""
+    if name == TIME:
+        return math.nan, (0.0, float(values.max(initial=0.0)) or 1.0)
+    bounds = space.bounds[space.column(name)]
+    intervals = _intervals(hypotheses, name)
+    intervals = np.where(np.isfinite(intervals), intervals, bounds)
+    if hypotheses.needs_code or not len(intervals):
+        intervals = np.concatenate([intervals, bounds[None]])
+    if name not in space.angles:
+        return math.nan, _hull(intervals, values)
+    is_grid = isinstance(hypotheses, GridHypotheses)
+    turn = float((intervals if is_grid else bounds).mean()) - math.pi
+    low = _wrap(intervals[:, 0], turn)
+    moved = np.stack([low, low + intervals[:, 1] - intervals[:, 0]], axis=1)
+    low, high = _hull(moved, _wrap(values, turn))
+    if high > turn + TWO_PI:
+        low = turn
+    return turn, (max(low, turn), min(high, turn + TWO_PI))
+
+
+def _intervals(hypotheses: HypothesisSet, name: str) -> np.ndarray:
+    """Return [R, 2] the intervals of a state that hypotheses name."""
+    found: list[tuple[float, float]] = []
+    if isinstance(hypotheses, GridHypotheses):
+        found = [hypotheses.axes[name][:2]] if name in hypotheses.axes else []
+    elif isinstance(hypotheses, ConstraintHypotheses):
+        boxes = [c for c in hypotheses.constraints if isinstance(c, Box)]
+        found = [box.intervals[name] for box in boxes if name in box.intervals]
+    return np.array(found).reshape(-1, 2)
+
+
+def _hull(intervals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    low, high = float(intervals.min()), float(intervals.max())
+    least, most = float(values.min(initial=low)), float(values.max(initial=high))
+    margin = MARGIN * (most - least)
+    return least - margin * (least < low), most + margin * (most > high)
+
+
+def _wrap(values: np.ndarray, turn: float | np.ndarray) -> np.ndarray:
+    """Return angles [rad] moved into [turn, turn + 2 pi), with room for rounding at its begin."""
+    return turn + (values - turn + ROUNDING) % TWO_PI - ROUNDING
