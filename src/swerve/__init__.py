@@ -63,7 +63,36 @@ _HOMES = {
     "write_demonstrations": "demonstrations",
 }
 
-__all__ = list(_HOMES)
+__all__ = [
+    "MDP",
+    "PPO",
+    "Box",
+    "Constraint",
+    "Demonstration",
+    "Evidence",
+    "Grid",
+    "HypothesisSet",
+    "Inference",
+    "Nominal",
+    "Pendulum",
+    "Predicate",
+    "Problem",
+    "StateSpace",
+    "Task",
+    "demonstrate",
+    "grid",
+    "hoeffding_error",
+    "hoeffding_sample_size",
+    "infer",
+    "learn",
+    "load_nominal",
+    "read_demonstrations",
+    "read_tasks",
+    "rk4",
+    "sample",
+    "save_nominal",
+    "write_demonstrations",
+]
 
 
 def __getattr__(name: str) -> object:

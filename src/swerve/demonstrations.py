@@ -13,18 +13,17 @@ Shapes: L samples, n state dimensions, m action dimensions, g goal dimensions, N
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
+from swerve import store
 from swerve.space import TWO_PI, StateSpace, Task
+from swerve.tables import csv_text, read_table
 
 START_TOLERANCE = 1e-3
 """How far a first state may lie from the start of its task, and a start or a goal outside the
@@ -181,7 +180,7 @@ def read_tasks(
     """
     goal_names = space.names if goal_names is None else tuple(goal_names)
     header = _tasks_header(space, goal_names)
-    table = _read_table(Path(path), header[1:], label=header[0])
+    table = read_table(Path(path), header[1:], label=header[0])
     _check_finite(table.values, table.names, _row_namer(str(path), table.line_of))
     starts, goals = np.split(table.columns(header[1:]), [len(space.names)], axis=1)
     tasks: dict[str, Task] = {}
@@ -233,7 +232,7 @@ def write_demonstrations(
             raise FileExistsError(f"{path} exists already; choose another folder or remove it")
     directory.mkdir(parents=True, exist_ok=True)
     for path, text in texts.items():
-        _write_text(path, text)
+        store.write_text(path, text)
     return [directory / f"{item.name}.csv" for item in demonstrations]
 
 
@@ -348,20 +347,10 @@ def _find_task(name: str, tasks: dict[str, Task], where: str, source: str) -> Ta
     return tasks[cells[0]]
 
 
-class _Table(NamedTuple):
-    names: list[str]
-    values: np.ndarray  # [rows, len(names)]
-    labels: list[str]  # the text column, where one was asked for
-    line_of: Callable[[int], int] | None
-
-    def columns(self, names: Sequence[str]) -> np.ndarray:
-        return np.ascontiguousarray(self.values[:, [self.names.index(name) for name in names]])
-
-
 def _read_trajectory(
     path: Path, space: StateSpace, action_names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    table = _read_table(path, space.names, optional=("t", *action_names))
+    table = read_table(path, space.names, optional=("t", *action_names))
     states = table.columns(space.names)
     times = table.columns(["t"])[:, 0] if "t" in table.names else None
     check_states(states, times, space, str(path), line_of=table.line_of)
@@ -376,125 +365,6 @@ def _read_trajectory(
     actions = table.columns(action_names)
     _check_finite(actions, action_names, _row_namer(str(path), table.line_of))
     return states, times, actions
-
-
-def _read_table(
-    path: Path, required: Sequence[str], optional: Sequence[str] = (), label: str | None = None
-) -> _Table:
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder; name the files in it: {path}/*.csv")
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file; check the path")
-    readers = {".csv": _read_csv, ".parquet": _read_parquet}
-    if path.suffix.lower() not in readers:
-        raise ValueError(f"{path}: expected a file ending in .csv or .parquet")
-    table = readers[path.suffix.lower()](path, required, optional, label)
-    if not len(table.values):
-        raise ValueError(f"{path}: a header and no rows; expected one row for each state or task")
-    return table
-
-
-def _select(
-    path: Path,
-    found: list[str],
-    required: Sequence[str],
-    optional: Sequence[str],
-    label: str | None,
-) -> list[str]:
-    """Return the names of the columns of numbers to read."""
-    needed = [*([] if label is None else [label]), *required]
-    missing = [name for name in needed if name not in found]
-    if missing:
-        raise ValueError(
-            f"{path}: no column {', '.join(missing)}; expected {', '.join(needed)} in a first "
-            f"line of names separated by commas, found {', '.join(found)}"
-        )
-    twice = [name for name, count in Counter(found).items() if name and count > 1]
-    if twice:
-        raise ValueError(f"{path}: more than one column is named {', '.join(twice)}; rename them")
-    return [name for name in dict.fromkeys((*required, *optional)) if name in found]
-
-
-def _read_csv(
-    path: Path, required: Sequence[str], optional: Sequence[str], label: str | None
-) -> _Table:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from error
-    _, header = next(_csv_rows(path, text), (0, None))
-    if header is None:
-        raise ValueError(f"{path}: the file is empty; expected a header and rows of numbers")
-    found = [cell.strip() for cell in header]
-    names = _select(path, found, required, optional, label)
-    values, labels = None, []
-    if label is None:
-        values = _parse_fast(text, [found.index(name) for name in names])
-    if values is None:
-        values, labels = _parse_cells(path, text, found, names, label)
-    return _Table(names, values, labels, lambda row: list(_csv_rows(path, text))[row + 1][0])
-
-
-def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield line and cells of every row that is not blank, the header first."""
-    reader = csv.reader(io.StringIO(text))
-    try:
-        for cells in reader:
-            if len(cells) > 1 or "".join(cells).strip():
-                yield reader.line_num, cells
-    except csv.Error as error:
-        raise ValueError(f"{path}: line {reader.line_num}: {error}; is a quote open?") from error
-
-
-def _parse_fast(text: str, indices: list[int]) -> np.ndarray | None:
-    """Return the columns as numbers, or None where that takes a look at each cell."""
-    header, *rows = text.rstrip().split("\n")
-    if '"' in text or {row.count(",") for row in rows} != {header.count(",")}:
-        return None  # quoted, ragged or empty
-    try:
-        return np.loadtxt(rows, delimiter=",", usecols=indices, comments=None, ndmin=2)
-    except ValueError:
-        return None
-
-
-def _parse_cells(
-    path: Path, text: str, found: list[str], names: list[str], label: str | None
-) -> tuple[np.ndarray, list[str]]:
-    """Return numbers and labels, or raise the error that names the cell at fault."""
-    rows = list(_csv_rows(path, text))[1:]
-    values, labels = np.empty((len(rows), len(names))), []
-    for row, (line, cells) in enumerate(rows):
-        at = f"{path}: row {row + 1} (line {line})"
-        if len(cells) != len(found):
-            raise ValueError(f"{at}: expected {len(found)} cells as the header, got {len(cells)}")
-        if label is not None:
-            labels.append(cells[found.index(label)].strip())
-        for column, name in enumerate(names):
-            cell = cells[found.index(name)]
-            try:
-                values[row, column] = float(cell)
-            except ValueError:
-                raise ValueError(f"{at}, column {name}: expected a number, got {cell!r}") from None
-    return values, labels
-
-
-def _read_parquet(
-    path: Path, required: Sequence[str], optional: Sequence[str], label: str | None
-) -> _Table:
-    import polars as pl  # takes longer to load than everything else together
-
-    try:
-        schema = pl.read_parquet_schema(path)
-        names = _select(path, list(schema), required, optional, label)
-        frame = pl.read_parquet(path, columns=names if label is None else [label, *names])
-    except pl.exceptions.PolarsError as error:
-        raise ValueError(f"{path}: cannot be read as Parquet: {error}") from error
-    for name in names:
-        if not schema[name].is_numeric():
-            raise ValueError(f"{path}: column {name}: expected numbers, got {schema[name]} values")
-    numbers = frame.select(pl.col(names).cast(pl.Float64).fill_null(float("nan")))
-    labels = [] if label is None else frame[label].cast(pl.String).to_list()
-    return _Table(names, numbers.to_numpy(), labels, None)
 
 
 def _tasks_header(space: StateSpace, goal_names: Sequence[str]) -> list[str]:
@@ -519,7 +389,7 @@ def _tasks_text(
     for item in demonstrations:
         _find_task(item.name, tasks, item.name, "in tasks.csv")
     rows = [[cell, *(f"{x:.9g}" for x in np.concatenate(task))] for cell, task in tasks.items()]
-    return _csv_text([_tasks_header(space, goal_names), *rows])
+    return csv_text([_tasks_header(space, goal_names), *rows])
 
 
 def _trajectory_text(item: Demonstration, space: StateSpace, action_names: Sequence[str]) -> str:
@@ -534,23 +404,4 @@ def _trajectory_text(item: Demonstration, space: StateSpace, action_names: Seque
     if item.times is not None:
         header = ["t", *header]
         rows = [[repr(float(t)), *row] for t, row in zip(item.times, rows, strict=True)]
-    return _csv_text([header, *rows])
-
-
-def _csv_text(rows: list[list[str]]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
-    return buffer.getvalue()
-
-
-def _write_text(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    return csv_text([header, *rows])

@@ -53,7 +53,8 @@ def log_weights(
     Raises:
       ValueError: if a weight is NaN or +inf.
     """
-    total_reward, log_probability = np.float64(total_reward), np.float64(log_probability)
+    total_reward = np.asarray(total_reward, np.float64)
+    log_probability = np.asarray(log_probability, np.float64)
     forbidden = np.isneginf(total_reward)
     log_weight = beta * np.where(forbidden, 0.0, total_reward) - log_probability
     if measure == "uniform":

@@ -1,4 +1,4 @@
-"""What sampling the nominal distribution tells: for each task, how often each hypothesis is entered.
+"""What sampling the nominal distribution tells: how often each hypothesis is entered, task by task.
 
     log_ratio[task, c] = log(Z_c / Z_0) = log P_{xi ~ pi_0}(xi avoids c)    (the paper, Theorem 1)
 
@@ -191,10 +191,11 @@ class Evidence:
         found = self.find(task)
         if found is None:
             nearest = int(self._distance(task).argmin())
+            start, goal = self.tasks.start[nearest], self.tasks.goal[nearest]
             raise ValueError(
                 f"{name}: no evidence for start {_numbers(task.start)} and goal "
                 f"{_numbers(task.goal)}; the nearest of {self.num_tasks} tasks is start "
-                f"{_numbers(self.tasks.start[nearest])}, goal {_numbers(self.tasks.goal[nearest])}. "
+                f"{_numbers(start)}, goal {_numbers(goal)}. "
                 "Sample this task too: swerve.sample(nominal, tasks)"
             )
         return found

@@ -172,7 +172,7 @@ class GridHypotheses(HypothesisSet):
 
 
 class _Axis:
-    """One axis of a grid: cells of equal width, extended beyond the ends so that lines have numbers.
+    """One axis of a grid: cells of equal width, numbered beyond the ends too.
 
     Index e of a position lies between line e and line e + 1. On a straight axis e is -1 below and
     `count` above. An angle goes on for ever: each turn adds `period` indices, `count` cells and,

@@ -60,7 +60,7 @@ class Inference:
     @cached_property
     def struck_out(self) -> np.ndarray:
         """[H] True where at least one demonstration enters the hypothesis."""
-        return self.entered.any(axis=0)
+        return np.asarray(self.entered.any(axis=0))
 
     @cached_property
     def log_likelihood(self) -> np.ndarray:
@@ -106,8 +106,7 @@ class Inference:
 
     @cached_property
     def rank(self) -> np.ndarray:
-        """Rank of each entry of `ranking`, from 1; hypotheses tied with the first of their group
-        share its rank.
+        """Rank of each entry of `ranking`, from 1; ties share the rank of their first.
 
         Two are tied where their scores differ by at most twice the sum of their standard errors,
         which bounds the error of the difference however the samples are correlated.
@@ -155,11 +154,12 @@ class Inference:
         if len(self.ranking):
             return []
         worst = self.demonstrations[int(self.entered.sum(axis=1).argmax())]
-        return [
+        message = (
             f"no hypothesis is left: each of the {len(self.struck_out)} is entered by at least one "
             f"demonstration ({worst.name} alone enters {self.entered.sum(axis=1).max()}). The "
             "constraint is not among the hypotheses, or the demonstrations are not of this problem"
-        ]
+        )
+        return [message]
 
     def _low_samples(self) -> list[str]:
         ess, num = self.evidence.effective_sample_size, self.evidence.num_trajectories
@@ -167,23 +167,25 @@ class Inference:
         if not low.any():
             return []
         worst = int(np.flatnonzero(low)[ess[low].argmin()])
-        return [
+        message = (
             f"not to be trusted: the effective sample size is too low for {low.sum()} of "
             f"{np.count_nonzero(self.task_counts)} tasks (worst: {self.task_name(worst)}, "
             f"{ess[worst]:.0f} of {num}). The policy is far from pi_0: train it longer, or use "
             "--solver grid where the state has at most 3 dimensions"
-        ]
+        )
+        return [message]
 
     def _floored(self) -> list[str]:
         used = self.task_counts > 0
-        floored = self.evidence.is_floored[used].any(axis=0)[self.leaders]
+        floored = np.asarray(self.evidence.is_floored[used].any(axis=0))[self.leaders]
         if not floored.any():
             return []
-        return [
+        message = (
             f"hypothesis {self.leaders[floored][0]} is entered by almost every nominal trajectory "
             f"of a task: its score is a lower bound, at most log N = "
             f"{math.log(self.evidence.num_trajectories):.1f} nats a demonstration"
-        ]
+        )
+        return [message]
 
     def task_name(self, task: int) -> str:
         """Return the names of the demonstrations of a task, or its number."""
@@ -229,7 +231,9 @@ class Inference:
             ],
             "num_struck_out": int(self.struck_out.sum()),
             "warnings": list(self.warnings),
-            "diagnostics": [self._task_diagnostics(k) for k in np.flatnonzero(self.task_counts)],
+            "diagnostics": [
+                self._task_diagnostics(int(k)) for k in np.flatnonzero(self.task_counts)
+            ],
         }
 
     def _task_diagnostics(self, task: int) -> dict[str, Any]:

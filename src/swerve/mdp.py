@@ -14,6 +14,7 @@ F features. All methods work on one state; solvers map them over batches.
 import abc
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -40,13 +41,22 @@ class MDP(eqx.Module):
       angles: those of the states that wrap at 2 pi [rad].
     """
 
-    state_names: eqx.AbstractVar[tuple[str, ...]]
-    action_names: eqx.AbstractVar[tuple[str, ...]]
-    actions: eqx.AbstractVar[Float[Array, "A m"]]
-    dt: eqx.AbstractVar[float]
-    num_steps: eqx.AbstractVar[int]
-    bounds: eqx.AbstractVar[Sequence[Sequence[float]] | Float[Array, "n 2"]]
-    angles = ()
+    if TYPE_CHECKING:  # for a type checker: anything that provides the value will do
+        state_names: Any = eqx.field(init=False)
+        action_names: Any = eqx.field(init=False)
+        actions: Any = eqx.field(init=False)
+        dt: Any = eqx.field(init=False)
+        num_steps: Any = eqx.field(init=False)
+        bounds: Any = eqx.field(init=False)
+        angles: Any = eqx.field(init=False)
+    else:
+        state_names: eqx.AbstractVar[tuple[str, ...]]
+        action_names: eqx.AbstractVar[tuple[str, ...]]
+        actions: eqx.AbstractVar[Float[Array, "A m"]]
+        dt: eqx.AbstractVar[float]
+        num_steps: eqx.AbstractVar[int]
+        bounds: eqx.AbstractVar[Sequence[Sequence[float]]]
+        angles = ()
 
     @abc.abstractmethod
     def dynamics(self, state: Float[Array, " n"], action: Float[Array, " m"]) -> Float[Array, " n"]:

@@ -26,17 +26,17 @@ VERSION = 1
 
 
 class Nominal(Protocol):
-    """An approximation of pi_0 for every goal of a problem.
-
-    Attributes:
-      problem: what it was learned for.
-      solver: how.
-    """
+    """An approximation of pi_0 for every goal of a problem."""
 
     @property
-    def problem(self) -> Problem: ...
+    def problem(self) -> Problem:
+        """What it was learned for."""
+        ...
+
     @property
-    def solver(self) -> Solver: ...
+    def solver(self) -> Solver:
+        """How it was learned."""
+        ...
 
     def policies(self, goals: np.ndarray) -> Iterator[Policy]:
         """Yield the policy of each goal [G, g] in turn."""

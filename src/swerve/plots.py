@@ -25,8 +25,8 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import PathPatch
-from matplotlib.patheffects import Normal, Stroke
 from matplotlib.path import Path as Outline
+from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
 from swerve.hypotheses import GridHypotheses

@@ -5,7 +5,8 @@ The nominal distribution of the problem is
     pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0,
 
 over trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
-m = A^-length ("uniform"). A hypothesis c restricts it further: pi_c = m exp(beta R) 1[avoids c] / Z_c.
+m = A^-length ("uniform"). A hypothesis c restricts it further:
+pi_c = m exp(beta R) 1[avoids c] / Z_c.
 
 `Problem` holds the model, which needs JAX; `ProblemRecord` is the rest of it as plain data, stored
 with every result, so that inference needs neither JAX nor user code.
@@ -19,7 +20,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -66,8 +67,13 @@ class Problem:
             raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
         if self.measure not in MEASURES:
             raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
-        self.hypotheses.check(self.mdp.space)
+        self._hypotheses.check(self.mdp.space)
         object.__setattr__(self, "known", check_constraints(self.known, self.mdp.space, "known"))
+
+    @property
+    def _hypotheses(self) -> HypothesisSet:
+        """The hypotheses; `__post_init__` has made a set of a list."""
+        return cast(HypothesisSet, self.hypotheses)
 
     @property
     def record(self) -> ProblemRecord:
@@ -83,7 +89,7 @@ class Problem:
             num_actions=self.mdp.num_actions,
             num_steps=self.mdp.num_steps,
             dt=float(self.mdp.dt),
-            hypotheses=self.hypotheses,
+            hypotheses=self._hypotheses,
             known=tuple(self.known),
             beta=float(self.beta),
             measure=self.measure,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Advance = Callable[..., None]
-"""Call with the amount of work done since the last call, and `note="..."` to show beside the bar."""
+"""Call with the amount of work done since the last call, and a `note` to show beside the bar."""
 
 
 @contextmanager
@@ -47,6 +47,8 @@ def progress_bar(description: str, total: float, enabled: bool) -> Iterator[Adva
         job = bar.add_task(description, total=total, note="")
 
         def advance(amount: float, note: str = "") -> None:
-            bar.update(job, advance=amount, **({"note": note} if note else {}))
+            bar.update(job, advance=amount)
+            if note:
+                bar.update(job, note=note)
 
         yield advance

@@ -191,7 +191,7 @@ def _sample_chunk(job: _Job, key: jax.Array, size: int) -> _Chunk:
         np.asarray(trajectory.total_reward),
         np.asarray(trajectory.log_probability),
         np.asarray(trajectory.length),
-        problem.hypotheses.violations(states, space, problem.between_states),
+        job.record.hypotheses.violations(states, space, problem.between_states),
         states,
     )
 

@@ -143,7 +143,7 @@ def source_hashes(problem: Any) -> dict[str, str]:
         if name != "__main__" and name.partition(".")[0] != "swerve"
     ]
     modules += [sys.modules[base.__module__] for base in type(problem.mdp).__mro__]
-    files = {Path(module.__file__) for module in modules if getattr(module, "__file__", None)}
+    files = {Path(str(module.__file__)) for module in modules if getattr(module, "__file__", None)}
     return {str(path): file_hash(path) for path in sorted(files) if _is_user_source(path)}
 
 

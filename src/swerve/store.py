@@ -200,6 +200,15 @@ def write_json(path: AnyPath, data: Any) -> None:
     """
     record = {"crc32": _checksum(data), "data": data}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    write_text(path, text)
+
+
+def write_text(path: AnyPath, text: str) -> None:
+    """Write a text file, atomically; its folder is created if need be.
+
+    Raises:
+      OSError: if the folder cannot be written; then the file that was there is still there.
+    """
     _replace(Path(path), lambda file: file.write(text.encode()))
 
 

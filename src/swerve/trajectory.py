@@ -12,7 +12,6 @@ Shapes: N trajectories, T steps, n state dimensions, A actions, g goal dimension
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx

@@ -129,8 +129,9 @@ class Work:
         evidence = self._sample(missing, solver, settings, known)
         if known is not None:
             evidence = known.joined(evidence)
-        if self.folder is not None:
-            evidence.save(self._path(solver, "evidence"))
+        path = self._path(solver, "evidence")
+        if path is not None:
+            evidence.save(path)
         return evidence
 
     def nominal(self, solver: str | None, seed: int | None, tasks: Task | None = None) -> Nominal:

@@ -292,15 +292,14 @@ def _goal_model(
 
     states = jnp.asarray(nodes, jnp.float32)
     next_states = jnp.asarray(successors.states).reshape(mdp.num_actions, *nodes.shape)
-    columns = []
-    for goal in jnp.asarray(goals, jnp.float32):
-        columns.append(
-            (
-                *at_states(states, goal),
-                *at_states(next_states.reshape(-1, nodes.shape[1]), goal),
-                rewards(states, next_states, goal),
-            )
+    columns = [
+        (
+            *at_states(states, goal),
+            *at_states(next_states.reshape(-1, nodes.shape[1]), goal),
+            rewards(states, next_states, goal),
         )
+        for goal in jnp.asarray(goals, jnp.float32)
+    ]
     model = _GoalModel(*(np.stack(field, axis=-1) for field in zip(*columns, strict=True)))
     for label, value in (("terminal_reward", model.node_terminal), ("reward", model.reward)):
         if not np.isfinite(value).all():

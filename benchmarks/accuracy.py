@@ -1,0 +1,277 @@
+"""How right the answers are: against exact violation probabilities and real demonstrations.
+
+    python benchmarks/accuracy.py --data DIR [--solver grid] [--json] [--figure FILE] [--work DIR]
+
+DIR holds demo_*.csv, tasks.csv (demo, start_theta, start_omega, goal_theta, goal_omega) and one or
+more exact_violation_torque<max_torque>.csv: for each demonstration the exact probability that an
+unconstrained trajectory of its task enters each of the 100 cells of the pendulum, judged at the
+states alone. For every such file three tables are printed:
+
+1. accuracy: the largest error over cells, at the worst and at the median task, for equal and for
+   importance weights; ESS; KL(pi || pi_0) with log Z_0 from the grid solver;
+2. the ranking by all demonstrations, in nats, beside the one from the exact probabilities;
+3. the rank of the true cell (--truth) against the number of demonstrations, averaged over random
+   subsets, ties counted half, and how often it is first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, sample
+from swerve.estimators import kl_divergence
+from swerve.evidence import summarise
+from swerve.inference import SCORES
+from swerve.specification import load_problem
+from swerve.work import SampleSettings, Work
+
+SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
+NUM_SUBSETS = 2_000
+SURVIVAL_FLOOR = 1e-4  # of the exact probabilities, as METHOD's reference numbers have it
+NUM_REFERENCE = 2_000  # trajectories for the reference log Z_0 of a solver other than the grid
+
+
+class Setting(NamedTuple):
+    """One exact file and what was sampled for it.
+
+    Attributes:
+      max_torque: of the pendulum.
+      exact: [K, H] exact violation probabilities, in the order of the demonstrations.
+      evidence: importance-weighted, of the same tasks.
+      exact_log_partition: [K] log Z_0 from the grid solver, nats.
+      seconds: wall time to learn and sample.
+    """
+
+    max_torque: float
+    exact: np.ndarray
+    evidence: Evidence
+    exact_log_partition: np.ndarray
+    seconds: float
+
+
+def measure_setting(path: Path, demonstrations: list[Any], arguments: argparse.Namespace) -> Setting:
+    """Learn and sample what one exact file is about."""
+    match = re.fullmatch(r"exact_violation_torque([0-9.]+)", path.stem)
+    if match is None:
+        raise ValueError(f"{path}: expected a name such as exact_violation_torque10.csv")
+    max_torque = float(match[1])
+    text = f"pendulum?between_states=false&max_torque={match[1]}"
+    tasks = Task.stack([demonstration.task for demonstration in demonstrations])
+    folder = arguments.work / path.stem if arguments.work else None
+    work = Work(text, folder, progress=True, say=lambda line: print(line, file=sys.stderr))
+    began = time.perf_counter()
+    evidence = work.evidence(tasks, arguments.solver, SampleSettings(arguments.samples))
+    seconds = time.perf_counter() - began
+    order = [evidence.match(demonstration.task) for demonstration in demonstrations]
+    evidence = evidence.select(order)
+    return Setting(
+        max_torque,
+        read_exact(path, demonstrations),
+        evidence,
+        reference_log_partition(text, evidence),
+        seconds,
+    )
+
+
+def read_exact(path: Path, demonstrations: list[Any]) -> np.ndarray:
+    """Return exact violation probabilities [K, H] in the order of the demonstrations."""
+    with path.open() as file:
+        rows = {row[0]: row[1:] for row in (line.strip().split(",") for line in file)}
+    names = [demonstration.name.removeprefix("demo_") for demonstration in demonstrations]
+    return np.array([rows[name] for name in names], float)
+
+
+def reference_log_partition(text: str, evidence: Evidence) -> np.ndarray:
+    """Return log Z_0 [K] by the grid solver's importance weights, whose ESS is near N."""
+    if evidence.solver.startswith("Grid("):
+        return evidence.log_partition
+    nominal = learn(load_problem(text), Grid())
+    return sample(nominal, evidence.tasks, NUM_REFERENCE, progress=True).log_partition
+
+
+def accuracy(setting: Setting) -> list[dict[str, Any]]:
+    """Return one row for each way to weigh the trajectories."""
+    evidence = setting.evidence
+    divergences = [
+        kl_divergence(log_weight, log_partition)
+        for log_weight, log_partition in zip(
+            evidence.importance_log_weight, setting.exact_log_partition, strict=True
+        )
+    ]
+    rows = []
+    for method in ("importance", "plain"):
+        summary = summarise(evidence.problem, evidence.samples, method)
+        error = np.abs(1.0 - summary.avoid_probability - setting.exact).max(axis=1)
+        share = evidence.effective_sample_size / evidence.num_trajectories
+        rows.append(
+            {
+                "max_torque": setting.max_torque,
+                "method": method,
+                "worst_task_worst_cell": float(error.max()),
+                "median_task_worst_cell": float(np.median(error)),
+                "least_ess_share": float(share.min()),
+                "median_ess_share": float(np.median(share)),
+                "median_kl": float(np.median(divergences)),
+                "worst_kl": float(np.max(divergences)),
+                "seconds": setting.seconds,
+            }
+        )
+    return rows
+
+
+def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict[str, Any]]:
+    """Return the first five hypotheses and the true one, in nats, beside the exact ones."""
+    result = infer(setting.evidence, demonstrations)
+    plain_summary = summarise(setting.evidence.problem, setting.evidence.samples, "plain")
+    floor = 1.0 / setting.evidence.num_trajectories
+    plain = -np.log(np.maximum(plain_summary.avoid_probability, floor)).sum(axis=0)
+    exact = -np.log(np.maximum(1.0 - setting.exact, SURVIVAL_FLOOR)).sum(axis=0)
+    chosen = list(result.ranking[:5])
+    if truth not in chosen:
+        chosen.append(truth)
+    return [
+        {
+            "max_torque": setting.max_torque,
+            "rank": int(np.flatnonzero(result.ranking == index)[0]) + 1,
+            "index": int(index),
+            "log_likelihood": float(result.log_likelihood[index]),
+            "standard_error": float(result.standard_error[index]),
+            "plain_log_likelihood": float(plain[index]),
+            "exact_log_likelihood": float(exact[index]),
+            "num_left": len(result.ranking),
+        }
+        for index in chosen
+        if not result.struck_out[index]
+    ]
+
+
+def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict[str, Any]]:
+    """Return the average rank of the truth and how often it is first, for each number."""
+    result = infer(setting.evidence, demonstrations)
+    if result.struck_out[truth]:
+        raise ValueError(f"a demonstration enters cell {truth}, so it cannot be the truth: --truth")
+    survival = {
+        "estimated": setting.evidence.summary.avoid_probability,
+        "exact": 1.0 - setting.exact,
+    }
+    rows = []
+    for source, probability in survival.items():
+        nats = -np.log(np.maximum(probability, SURVIVAL_FLOOR))
+        for score, values in zip(SCORES, (nats, 1.0 - probability), strict=True):
+            for size in [size for size in SIZES if size <= len(demonstrations)]:
+                rank = _ranks(values, result.entered, truth, size)
+                rows.append(
+                    {
+                        "max_torque": setting.max_torque,
+                        "source": source,
+                        "score": score,
+                        "num_demonstrations": size,
+                        "mean_rank": float(rank.mean()),
+                        "rank_error": float(rank.std() / np.sqrt(NUM_SUBSETS)),
+                        "first": float((rank == 1.0).mean()),
+                    }
+                )
+    return rows
+
+
+def _ranks(values: np.ndarray, entered: np.ndarray, truth: int, size: int) -> np.ndarray:
+    """Return the rank of the truth for each of NUM_SUBSETS random subsets, ties counted half."""
+    generator = np.random.default_rng(0)
+    ranks = np.empty(NUM_SUBSETS)
+    for k in range(NUM_SUBSETS):
+        subset = generator.choice(len(values), size, replace=False)
+        total = np.where(entered[subset].any(axis=0), -np.inf, values[subset].sum(axis=0))
+        ties = np.count_nonzero(total == total[truth]) - 1
+        ranks[k] = 1 + np.count_nonzero(total > total[truth]) + 0.5 * ties
+    return ranks
+
+
+def print_rows(title: str, rows: list[dict[str, Any]], console: Console) -> None:
+    """Print rows as a table."""
+    table = Table(title=title)
+    for name in rows[0]:
+        table.add_column(name.replace("_", " "), justify="right")
+    for row in rows:
+        table.add_row(*(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()))
+    console.print(table)
+
+
+def plot_curves(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw the rank of the truth against the number of demonstrations."""
+    from matplotlib.figure import Figure
+
+    torques = sorted({row["max_torque"] for row in rows}, reverse=True)
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    axes = figure.subplots(2, len(torques), sharex=True, sharey="row", squeeze=False)
+    for column, torque in enumerate(torques):
+        for score, colour in zip(SCORES, ("#0072B2", "#D55E00"), strict=True):
+            for source, style in (("exact", {"ls": "-"}), ("estimated", {"ls": "", "marker": "o"})):
+                chosen = [
+                    row
+                    for row in rows
+                    if (row["max_torque"], row["source"], row["score"]) == (torque, source, score)
+                ]
+                sizes = [row["num_demonstrations"] for row in chosen]
+                label = f"{score}, {'exact' if source == 'exact' else 'Swerve'}"
+                common = {"color": colour, "label": label, "fillstyle": "none", **style}
+                axes[0, column].plot(sizes, [row["mean_rank"] for row in chosen], **common)
+                axes[1, column].plot(sizes, [100 * row["first"] for row in chosen], **common)
+        axes[0, column].set_title(f"torques in [-{torque:g}, {torque:g}]")
+        axes[0, column].set_yscale("log")
+        axes[0, column].set_yticks([1, 2, 5, 10, 20, 40], ["1", "2", "5", "10", "20", "40"])
+        axes[0, column].minorticks_off()
+        axes[1, column].set_xlabel("number of demonstrations")
+    axes[0, 0].set_ylabel("average rank of the true cell")
+    axes[1, 0].set_ylabel("true cell ranked first [%]")
+    axes[0, 0].legend(frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Measure every exact file of a folder and print the tables."""
+    parser = argparse.ArgumentParser(description="Accuracy against exact answers.")
+    parser.add_argument("--data", type=Path, required=True, help="folder, see above")
+    parser.add_argument("--solver", default="grid")
+    parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
+    parser.add_argument("--truth", type=int, default=55, help="index of the true cell")
+    parser.add_argument("--torque", help="only this exact file")
+    parser.add_argument("--work", type=Path, help="folder that keeps what was sampled")
+    parser.add_argument("--figure", type=Path, help="picture of the rank curves to write")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    files = sorted(arguments.data.glob(f"exact_violation_torque{arguments.torque or '*'}.csv"))
+    if not files:
+        raise SystemExit(f"{arguments.data}: no exact_violation_torque*.csv")
+    tasks = arguments.data / "tasks.csv"
+    space = load_problem("pendulum").mdp.space
+    demonstrations = read_demonstrations(
+        sorted(arguments.data.glob("demo_*.csv")), space, tasks=tasks
+    )
+    tables: dict[str, list[dict[str, Any]]] = {"accuracy": [], "ranking": [], "curves": []}
+    for path in files:
+        setting = measure_setting(path, demonstrations, arguments)
+        tables["accuracy"] += accuracy(setting)
+        tables["ranking"] += ranking(setting, demonstrations, arguments.truth)
+        tables["curves"] += curves(setting, demonstrations, arguments.truth)
+    if arguments.json:
+        print(json.dumps({"solver": arguments.solver, **tables}))
+    else:
+        for title, rows in tables.items():
+            print_rows(f"{title}, solver {arguments.solver}", rows, Console())
+    if arguments.figure:
+        plot_curves(tables["curves"], arguments.figure)
+
+
+if __name__ == "__main__":
+    main()

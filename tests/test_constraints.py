@@ -1,0 +1,361 @@
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swerve.constraints import (
+    Box,
+    Constraint,
+    Predicate,
+    check_constraints,
+    constraint_from_json,
+    violates,
+)
+from swerve.space import TWO_PI, StateSpace
+
+PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
+PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
+seeds = st.integers(0, 2**32 - 1)
+eighths = st.integers(-32, 32).map(lambda k: k / 8)
+points = st.tuples(eighths, eighths)
+intervals = st.tuples(st.integers(-24, 20), st.integers(1, 12)).map(
+    lambda pair: (pair[0] / 8, (pair[0] + pair[1]) / 8)
+)
+
+
+def meets_exactly(
+    start: Sequence[float], end: Sequence[float], box: Sequence[tuple[float, float]]
+) -> bool:
+    """Whether an end lies in the half-open box or a part of positive length does, by fractions."""
+    if any(
+        all(low <= value < high for value, (low, high) in zip(point, box, strict=True))
+        for point in (start, end)
+    ):
+        return True
+    enter, leave = Fraction(0), Fraction(1)
+    for first, last, (low, high) in zip(start, end, box, strict=True):
+        at, step = Fraction(first), Fraction(last) - Fraction(first)
+        if step == 0:
+            if not low <= at < high:
+                return False
+            continue
+        ends = sorted([(Fraction(low) - at) / step, (Fraction(high) - at) / step])
+        enter, leave = max(enter, ends[0]), min(leave, ends[1])
+    return enter < leave
+
+
+def grown(box: Box, margins: dict[str, float], space: StateSpace) -> Box:
+    """A box wider by a margin on either side, at most a full turn for angles."""
+    wider = {}
+    for name, (low, high) in box.intervals.items():
+        margin = margins[name]
+        if name in space.angles:
+            margin = min(margin, 0.5 * (TWO_PI - (high - low)))
+        wider[name] = (low - margin, high + margin)
+    return Box(**wider)
+
+
+class TestContains:
+    @given(point=points, x=intervals, y=intervals)
+    def test_is_half_open(self, point, x, y) -> None:
+        inside = x[0] <= point[0] < x[1] and y[0] <= point[1] < y[1]
+        assert Box(x=x, y=y).contains(np.array(point), PLANE) == inside
+
+    def test_unnamed_components_are_free(self) -> None:
+        states = np.array([[0.5, -1e9], [0.5, 1e9], [1.0, 0.0]])
+        np.testing.assert_array_equal(Box(x=(0, 1)).contains(states, PLANE), [True, True, False])
+
+    def test_keeps_the_shape_of_a_batch(self) -> None:
+        states = np.zeros((2, 3, 4, 2))
+        states[1, 2, 3] = 5.0
+        inside = Box(y=(0.0, 1.0)).contains(states, PLANE)
+        assert inside.shape == (2, 3, 4)
+        assert inside.sum() == 23
+        assert not inside[1, 2, 3]
+
+    @given(seed=seeds, turns=st.integers(-4, 4), shift=st.integers(-4, 4))
+    def test_whole_turns_of_state_or_interval_change_nothing(self, seed, turns, shift) -> None:
+        generator = np.random.default_rng(seed)
+        low, width = generator.uniform(0.0, TWO_PI), generator.uniform(0.1, TWO_PI)
+        states = np.stack([generator.uniform(-20, 20, 50), generator.uniform(-6, 6, 50)], axis=-1)
+        box = Box(theta=(low, low + width))
+        moved = Box(theta=(low + TWO_PI * shift, low + width + TWO_PI * shift))
+        np.testing.assert_array_equal(
+            box.contains(states, PENDULUM),
+            moved.contains(states + np.array([TWO_PI * turns, 0.0]), PENDULUM),
+        )
+
+    def test_angle_intervals_wrap(self) -> None:
+        box = Box(theta=(-0.5, 0.5))
+        theta = np.array([0.0, 0.49, 0.5, 3.0, TWO_PI - 0.5, TWO_PI - 0.51, -0.4, 7 * TWO_PI + 0.4])
+        states = np.stack([theta, np.zeros(8)], axis=-1)
+        expected = [True, True, False, False, True, False, True, True]
+        np.testing.assert_array_equal(box.contains(states, PENDULUM), expected)
+
+    def test_open_sides(self) -> None:
+        box = Box(x=(-math.inf, 0.0), y=(1.0, math.inf))
+        states = np.array([[-1e300, 1e300], [0.0, 2.0], [-1.0, 1.0], [-1.0, 0.9]])
+        np.testing.assert_array_equal(box.contains(states, PLANE), [True, False, True, False])
+
+
+class TestCrosses:
+    @given(start=points, end=points, x=intervals, y=intervals)
+    def test_agrees_with_exact_arithmetic(self, start, end, x, y) -> None:
+        """On eighths everything is exact: touched corners and edges are judged exactly."""
+        crossed = Box(x=x, y=y).crosses(np.array(start), np.array(end), PLANE)
+        assert crossed == meets_exactly(start, end, [x, y])
+
+    @given(start=points, end=points, y=intervals)
+    def test_a_free_component_does_not_matter(self, start, end, y) -> None:
+        crossed = Box(y=y).crosses(np.array(start), np.array(end), PLANE)
+        assert crossed == meets_exactly(start[1:], end[1:], [y])
+
+    @given(seed=seeds)
+    def test_agrees_with_dense_sampling_across_the_wrap(self, seed) -> None:
+        generator = np.random.default_rng(seed)
+        low = generator.uniform(-10.0, 10.0)
+        box = Box(
+            theta=(low, low + generator.uniform(0.2, 6.2)),
+            omega=tuple(np.sort(generator.uniform(-4.0, 4.0, 2))),
+        )
+        starts, ends = (
+            np.stack([generator.uniform(-9, 9, 60), generator.uniform(-5, 5, 60)], axis=-1)
+            for _ in range(2)
+        )
+        steps = PENDULUM.difference(starts, ends)
+        num = 400
+        dense = starts + steps * np.linspace(0.0, 1.0, num + 1)[:, None, None]
+        crossed = box.crosses(starts, ends, PENDULUM)
+        assert not (box.contains(dense, PENDULUM).any(axis=0) & ~crossed).any()
+        spacing = np.abs(steps).max(axis=0) / num
+        wider = grown(box, {"theta": spacing[0], "omega": spacing[1]}, PENDULUM)
+        assert not (crossed & ~wider.contains(dense, PENDULUM).any(axis=0)).any()
+
+    @given(seed=seeds)
+    def test_direction_does_not_matter(self, seed) -> None:
+        generator = np.random.default_rng(seed)
+        box = Box(theta=(1.0, 2.5), omega=(-1.0, 1.0))
+        starts, ends = generator.uniform(-6.0, 6.0, (2, 100, 2))
+        there = box.crosses(starts, ends, PENDULUM)
+        np.testing.assert_array_equal(there, box.crosses(ends, starts, PENDULUM))
+        assert there.any()
+        assert not there.all()
+
+    def test_passes_through_without_a_state_inside(self) -> None:
+        box = Box(x=(0.0, 1.0), y=(0.0, 1.0))
+        start, end = np.array([-1.0, 0.5]), np.array([2.0, 0.5])
+        assert box.crosses(start, end, PLANE)
+        assert not box.contains(np.stack([start, end]), PLANE).any()
+        assert not box.crosses(np.array([-1.0, 1.5]), np.array([2.0, 1.5]), PLANE)
+
+    def test_follows_the_shorter_arc(self) -> None:
+        box = Box(theta=(1.0, 2.0))
+        start, end = np.array([0.5, 0.0]), np.array([6.0, 0.0])
+        assert not box.crosses(start, end, PENDULUM)
+        assert Box(theta=(6.1, 6.2)).crosses(start, end, PENDULUM)
+        assert box.crosses(start, np.array([2.5, 0.0]), PENDULUM)
+        assert box.crosses(start + TWO_PI, np.array([2.5 - TWO_PI, 0.0]), PENDULUM)
+
+    def test_resting_is_the_same_as_containing(self) -> None:
+        box = Box(theta=(1.0, 2.0), omega=(-1.0, 1.0))
+        states = np.array([[1.0, -1.0], [2.0, 0.0], [1.5, 1.0], [1.5, 0.5], [1.5 + TWO_PI, 0.0]])
+        np.testing.assert_array_equal(
+            box.crosses(states, states, PENDULUM), box.contains(states, PENDULUM)
+        )
+
+    def test_open_sides(self) -> None:
+        box = Box(x=(1.0, math.inf))
+        starts = np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [0.0, 1.0], [2.0, 1.0]])
+        ends = np.array([[0.5, 0.0], [3.0, 0.0], [9.0, 0.0], [0.0, 2.0], [2.0, 3.0]])
+        np.testing.assert_array_equal(
+            box.crosses(starts, ends, PLANE), [False, True, True, False, True]
+        )
+
+    @pytest.mark.parametrize("between_states", [True, False])
+    def test_jax_judges_like_numpy(self, between_states: bool) -> None:
+        """Eighths and a whole-numbered interval are exact in float32 too."""
+        generator = np.random.default_rng(0)
+        box = Box(x=(-1.0, 2.0), y=(0.0, 1.5))
+        starts, ends = generator.integers(-32, 33, (2, 4000, 2)) / 8
+        if between_states:
+            by_numpy = box.crosses(starts, ends, PLANE)
+            traced = jax.jit(jax.vmap(lambda a, b: box.crosses(a, b, PLANE)))
+            by_jax = traced(jnp.asarray(starts), jnp.asarray(ends))
+        else:
+            by_numpy = box.contains(starts, PLANE)
+            by_jax = jax.jit(jax.vmap(lambda a: box.contains(a, PLANE)))(jnp.asarray(starts))
+        np.testing.assert_array_equal(by_jax, by_numpy)
+        assert 0.05 < by_numpy.mean() < 0.95
+
+    def test_jax_judges_angles_like_numpy(self) -> None:
+        generator = np.random.default_rng(1)
+        box = Box(theta=(5.5, 7.0), omega=(-1.0, 1.5))
+        starts, ends = generator.uniform(-8.0, 8.0, (2, 4000, 2)).astype(np.float32)
+        traced = jax.jit(jax.vmap(lambda a, b: box.crosses(a, b, PENDULUM)))
+        by_jax = np.asarray(traced(jnp.asarray(starts), jnp.asarray(ends)))
+        margins = {"theta": 1e-5, "omega": 1e-5}
+        starts, ends = starts.astype(float), ends.astype(float)
+        sure = box.crosses(starts, ends, PENDULUM) == grown(box, margins, PENDULUM).crosses(
+            starts, ends, PENDULUM
+        )
+        assert sure.mean() > 0.99
+        np.testing.assert_array_equal(by_jax[sure], box.crosses(starts, ends, PENDULUM)[sure])
+        assert 0.05 < by_jax.mean() < 0.95
+
+
+class TestBox:
+    def test_name(self) -> None:
+        box = Box(theta=(math.pi, 1.2 * math.pi), omega=(0.0, 1.2))
+        assert box.name == "theta [3.14, 3.77), omega [0, 1.2)"
+        assert Box(x=(-math.inf, -0.0)).name == "x [-inf, 0)"
+
+    def test_no_interval_is_refused(self) -> None:
+        with pytest.raises(ValueError, match=r"at least one interval, as in Box\(x=\(0.0, 1.0\)\)"):
+            Box()
+
+    @pytest.mark.parametrize("interval", [(1.0, 1.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.nan)])
+    def test_empty_intervals_are_refused(self, interval: tuple[float, float]) -> None:
+        with pytest.raises(ValueError, match=r"Box: expected low < high for 'x', got \("):
+            Box(y=(0, 1), x=interval)
+
+    def test_check_refuses_unknown_names(self) -> None:
+        with pytest.raises(ValueError, match="no state named 'z'; the states are x, y"):
+            Box(z=(0, 1)).check(PLANE)
+
+    def test_check_refuses_more_than_a_turn(self) -> None:
+        Box(theta=(1.0, 1.0 + TWO_PI), omega=(0.0, 100.0)).check(PENDULUM)
+        message = r"Box: 'theta' is an angle, .* 2 pi at most, .* a width of 6\.5 rad"
+        with pytest.raises(ValueError, match=message):
+            Box(theta=(0.0, 6.5)).check(PENDULUM)
+        with pytest.raises(ValueError, match="a width of inf rad"):
+            Box(theta=(0.0, math.inf)).check(PENDULUM)
+
+
+def in_disc(states: Any) -> Any:
+    return (states**2).sum(axis=-1) < 1.0
+
+
+class TestPredicate:
+    def test_contains_what_the_function_says(self) -> None:
+        disc = Predicate("disc", in_disc)
+        states = np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.6, 0.6], [1.0, 0.0]]])
+        np.testing.assert_array_equal(disc.contains(states, PLANE), [[True, False], [True, False]])
+        assert disc.name == "disc"
+
+    def test_crosses_tries_evenly_spaced_points(self) -> None:
+        start, end = np.array([-4.0, 0.0]), np.array([4.0, 0.0])
+        assert Predicate("disc", in_disc).crosses(start, end, PLANE)  # one point in 8 is the middle
+        assert not Predicate("disc", in_disc, num_points=1).crosses(start, end, PLANE)
+        assert not Predicate("disc", in_disc, num_points=3).crosses(start, end, PLANE)
+        assert Predicate("disc", in_disc, num_points=1).crosses(end, np.zeros(2), PLANE)
+        assert Predicate("disc", in_disc, num_points=1).crosses(np.zeros(2), end, PLANE)
+
+    def test_points_follow_the_shorter_arc(self) -> None:
+        low = Predicate("zero", lambda states: np.cos(states[..., 0]) > 0.99)
+        start, end = np.array([0.5, 0.0]), np.array([TWO_PI - 0.5, 0.0])
+        assert low.crosses(start, end, PENDULUM)
+        assert not low.crosses(start, np.array([math.pi, 0.0]), PENDULUM)
+
+    def test_agrees_with_the_box_it_describes(self) -> None:
+        generator = np.random.default_rng(0)
+        states = generator.uniform(-2.0, 2.0, (200, 9, 2))
+        box = Box(x=(0.0, 1.0))
+        strip = Predicate("strip", lambda s: (s[..., 0] >= 0.0) & (s[..., 0] < 1.0), 50)
+        np.testing.assert_array_equal(
+            violates(strip, states, PLANE, False), violates(box, states, PLANE, False)
+        )
+        fine, exact = (violates(c, states[:, :2], PLANE, True) for c in (strip, box))
+        assert not (fine & ~exact).any()
+        assert (fine == exact).mean() > 0.95
+
+    def test_a_function_of_the_wrong_shape_is_refused(self) -> None:
+        wrong = Predicate("both", lambda states: states > 0)
+        message = r"Predicate 'both': expected one boolean a state, shape \(5,\), got \(5, 2\)"
+        with pytest.raises(ValueError, match=message):
+            wrong.contains(np.zeros((5, 2)), PLANE)
+
+    def test_no_points_are_refused(self) -> None:
+        with pytest.raises(ValueError, match="Predicate 'disc': expected num_points >= 1, got 0"):
+            Predicate("disc", in_disc, 0)
+
+
+class TestViolates:
+    @given(seed=seeds)
+    def test_segments_only_add(self, seed) -> None:
+        generator = np.random.default_rng(seed)
+        states = generator.uniform(-6.0, 6.0, (40, 5, 2))
+        box = Box(theta=(1.0, 2.0), omega=(-1.0, 1.0))
+        alone, between = (violates(box, states, PENDULUM, flag) for flag in (False, True))
+        assert not (alone & ~between).any()
+        np.testing.assert_array_equal(alone, box.contains(states, PENDULUM).any(axis=1))
+
+    def test_judges_each_trajectory_of_a_batch(self) -> None:
+        path = np.array([[-1.0, 0.5], [2.0, 0.5], [2.0, 2.0]])
+        batch = np.stack([path, path + np.array([0.0, 1.0]), np.full((3, 2), 0.5)])
+        box = Box(x=(0.0, 1.0), y=(0.0, 1.0))
+        np.testing.assert_array_equal(violates(box, batch, PLANE, True), [True, False, True])
+        np.testing.assert_array_equal(violates(box, batch, PLANE, False), [False, False, True])
+        assert violates(box, path, PLANE, True)
+
+    @given(seed=seeds)
+    def test_points_inserted_on_a_segment_change_nothing(self, seed) -> None:
+        generator = np.random.default_rng(seed)
+        states = generator.uniform(-6.0, 6.0, (30, 4, 2))
+        middle = states[:, :-1] + generator.uniform(0.01, 0.99, (30, 3, 1)) * PENDULUM.difference(
+            states[:, :-1], states[:, 1:]
+        )
+        finer = np.zeros((30, 7, 2))
+        finer[:, ::2], finer[:, 1::2] = states, middle
+        box = Box(theta=(4.0, 6.5), omega=(-1.0, 2.0))
+        np.testing.assert_array_equal(
+            violates(box, states, PENDULUM, True), violates(box, finer, PENDULUM, True)
+        )
+
+
+class TestCheckConstraints:
+    def test_returns_a_tuple(self) -> None:
+        boxes = [Box(x=(0, 1)), Predicate("disc", in_disc)]
+        assert check_constraints(iter(boxes), PLANE, "known") == tuple(boxes)
+
+    def test_names_the_argument_and_the_position(self) -> None:
+        wrong: Any = [Box(x=(0, 1)), (0.0, 1.0)]
+        with pytest.raises(ValueError, match=r"known\[1\]: expected a Constraint, got \(0.0, 1.0"):
+            check_constraints(wrong, PLANE, "known")
+        with pytest.raises(ValueError, match="no state named 'z'"):
+            check_constraints([Box(z=(0, 1))], PLANE, "known")
+
+
+class TestJson:
+    @given(x=intervals, y=intervals)
+    def test_boxes_round_trip(self, x, y) -> None:
+        box = Box(y=y, x=x)
+        back = constraint_from_json(json.loads(json.dumps(box.to_json(), allow_nan=False)))
+        assert isinstance(back, Box)
+        assert list(back.intervals.items()) == list(box.intervals.items())
+        assert back.to_json() == box.to_json()
+
+    def test_a_predicate_comes_back_without_its_function(self) -> None:
+        predicate = Predicate("disc", in_disc, num_points=5)
+        back: Constraint = constraint_from_json(json.loads(json.dumps(predicate.to_json())))
+        assert isinstance(back, Predicate)
+        assert (back.name, back.num_points) == ("disc", 5)
+        message = "predicate 'disc' was read from a file, which holds its name and not its code"
+        with pytest.raises(ValueError, match=message):
+            back.contains(np.zeros(2), PLANE)
+
+    def test_different_constraints_have_different_json(self) -> None:
+        kinds = [Box(x=(0, 1)), Box(y=(0, 1)), Box(x=(0, 2)), Predicate("x", in_disc)]
+        kinds.append(Predicate("x", in_disc, 9))
+        for a, b in itertools.combinations(kinds, 2):
+            assert a.to_json() != b.to_json()
