@@ -10,7 +10,7 @@ SHELL := bash
 .NOTPARALLEL:
 .PHONY: help demo test docs benchmark lock clean FORCE
 
-# `make test PYTHON=/opt/python/bin/python3` chooses another interpreter.
+# `make test PYTHON=/path/to/python3` chooses another interpreter.
 ifndef PYTHON
 PYTHON := $(shell for p in python3.11 python3 python3.12 python3.13 python3.14; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; exit; }; \

@@ -8,7 +8,8 @@ unconstrained trajectory of its task enters each of the 100 cells of the pendulu
 states alone. For every such file three tables are printed:
 
 1. accuracy: the largest error over cells, at the worst and at the median task, for equal and for
-   importance weights; ESS; KL(pi || pi_0) with log Z_0 from the grid solver;
+   importance weights; ESS as a share of N; KL(pi || pi_0) [nats] with log Z_0 from the grid solver;
+   wall time to learn and sample [s];
 2. the ranking by all demonstrations, in nats, beside the one from the exact probabilities;
 3. the rank of the true cell (--truth) against the number of demonstrations, averaged over random
    subsets, ties counted half, and how often it is first.
@@ -37,7 +38,7 @@ from swerve.work import SampleSettings, Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
 NUM_SUBSETS = 2_000
-SURVIVAL_FLOOR = 1e-4  # of the exact probabilities, as METHOD's reference numbers have it
+RESOLUTION = 1e-4  # of probabilities, 1 / N: smaller differences are ties, smaller survival floored
 NUM_REFERENCE = 2_000  # trajectories for the reference log Z_0 of a solver other than the grid
 
 
@@ -59,7 +60,9 @@ class Setting(NamedTuple):
     seconds: float
 
 
-def measure_setting(path: Path, demonstrations: list[Any], arguments: argparse.Namespace) -> Setting:
+def measure_setting(
+    path: Path, demonstrations: list[Any], arguments: argparse.Namespace
+) -> Setting:
     """Learn and sample what one exact file is about."""
     match = re.fullmatch(r"exact_violation_torque([0-9.]+)", path.stem)
     if match is None:
@@ -117,10 +120,10 @@ def accuracy(setting: Setting) -> list[dict[str, Any]]:
             {
                 "max_torque": setting.max_torque,
                 "method": method,
-                "worst_task_worst_cell": float(error.max()),
-                "median_task_worst_cell": float(np.median(error)),
-                "least_ess_share": float(share.min()),
-                "median_ess_share": float(np.median(share)),
+                "worst_error": float(error.max()),
+                "median_error": float(np.median(error)),
+                "least_ess": float(share.min()),
+                "median_ess": float(np.median(share)),
                 "median_kl": float(np.median(divergences)),
                 "worst_kl": float(np.max(divergences)),
                 "seconds": setting.seconds,
@@ -135,7 +138,7 @@ def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dic
     plain_summary = summarise(setting.evidence.problem, setting.evidence.samples, "plain")
     floor = 1.0 / setting.evidence.num_trajectories
     plain = -np.log(np.maximum(plain_summary.avoid_probability, floor)).sum(axis=0)
-    exact = -np.log(np.maximum(1.0 - setting.exact, SURVIVAL_FLOOR)).sum(axis=0)
+    exact = -np.log(np.maximum(1.0 - setting.exact, RESOLUTION)).sum(axis=0)
     chosen = list(result.ranking[:5])
     if truth not in chosen:
         chosen.append(truth)
@@ -144,10 +147,10 @@ def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dic
             "max_torque": setting.max_torque,
             "rank": int(np.flatnonzero(result.ranking == index)[0]) + 1,
             "index": int(index),
-            "log_likelihood": float(result.log_likelihood[index]),
+            "nats": float(result.log_likelihood[index]),
             "standard_error": float(result.standard_error[index]),
-            "plain_log_likelihood": float(plain[index]),
-            "exact_log_likelihood": float(exact[index]),
+            "plain_nats": float(plain[index]),
+            "exact_nats": float(exact[index]),
             "num_left": len(result.ranking),
         }
         for index in chosen
@@ -165,8 +168,9 @@ def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict
         "exact": 1.0 - setting.exact,
     }
     rows = []
-    for source, probability in survival.items():
-        nats = -np.log(np.maximum(probability, SURVIVAL_FLOOR))
+    for source, unrounded in survival.items():
+        probability = RESOLUTION * np.round(unrounded / RESOLUTION)
+        nats = -np.log(np.maximum(probability, RESOLUTION))
         for score, values in zip(SCORES, (nats, 1.0 - probability), strict=True):
             for size in [size for size in SIZES if size <= len(demonstrations)]:
                 rank = _ranks(values, result.entered, truth, size)
@@ -175,7 +179,7 @@ def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict
                         "max_torque": setting.max_torque,
                         "source": source,
                         "score": score,
-                        "num_demonstrations": size,
+                        "demonstrations": size,
                         "mean_rank": float(rank.mean()),
                         "rank_error": float(rank.std() / np.sqrt(NUM_SUBSETS)),
                         "first": float((rank == 1.0).mean()),
@@ -221,7 +225,7 @@ def plot_curves(rows: list[dict[str, Any]], path: Path) -> None:
                     for row in rows
                     if (row["max_torque"], row["source"], row["score"]) == (torque, source, score)
                 ]
-                sizes = [row["num_demonstrations"] for row in chosen]
+                sizes = [row["demonstrations"] for row in chosen]
                 label = f"{score}, {'exact' if source == 'exact' else 'Swerve'}"
                 common = {"color": colour, "label": label, "fillstyle": "none", **style}
                 axes[0, column].plot(sizes, [row["mean_rank"] for row in chosen], **common)
@@ -268,7 +272,7 @@ def main() -> None:
         print(json.dumps({"solver": arguments.solver, **tables}))
     else:
         for title, rows in tables.items():
-            print_rows(f"{title}, solver {arguments.solver}", rows, Console())
+            print_rows(f"{title}, solver {arguments.solver}", rows, Console(width=120))
     if arguments.figure:
         plot_curves(tables["curves"], arguments.figure)
 

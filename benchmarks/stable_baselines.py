@@ -147,10 +147,11 @@ def make_learner(
 ) -> Any:
     """Return Stable-Baselines3's PPO on the pendulum, on the CPU."""
     from stable_baselines3 import PPO
+    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import DummyVecEnv
     from torch.nn import Tanh
 
-    return PPO(
+    learner = PPO(
         "MlpPolicy",
         DummyVecEnv([make_environment] * num_environments),
         n_steps=steps_per_update,
@@ -162,6 +163,8 @@ def make_learner(
         seed=seed,
         device="cpu",
     )
+    learner.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves a folder
+    return learner
 
 
 def measure(

@@ -40,7 +40,7 @@ def make_record(**changes) -> ProblemRecord:
 def make_samples(
     num_trajectories: int = 400, tasks: Task = TASKS, num_hypotheses: int = 12, seed: int = 0
 ) -> Samples:
-    """Samples whose weights and violations are random, hypothesis h entered more often than h - 1."""
+    """Samples of random weights; hypothesis h is entered more often than hypothesis h - 1."""
     generator = np.random.default_rng(seed)
     shape = (len(tasks.start), num_trajectories)
     chance = (np.arange(num_hypotheses) + 1.0) / (num_hypotheses + 1.0)

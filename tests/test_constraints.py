@@ -159,6 +159,24 @@ class TestCrosses:
         assert not box.contains(np.stack([start, end]), PLANE).any()
         assert not box.crosses(np.array([-1.0, 1.5]), np.array([2.0, 1.5]), PLANE)
 
+    def test_touching_from_outside_is_not_crossing(self) -> None:
+        """A corner met by the way, or an edge of the open side that is followed."""
+        box = Box(x=(0.0, 1.0), y=(0.0, 1.0))
+        ways = {
+            "through the corner below": ((-0.5, 0.5), (0.5, -0.5), False),
+            "through the corner above": ((0.5, 1.5), (1.5, 0.5), False),
+            "ends in the corner below": ((-0.5, 0.5), (0.0, 0.0), True),
+            "ends in the corner above": ((0.5, 1.5), (1.0, 1.0), False),
+            "along the closed edge": ((-1.0, 0.0), (2.0, 0.0), True),
+            "along the open edge": ((-1.0, 1.0), (2.0, 1.0), False),
+            "along the diagonal": ((-1.0, -1.0), (2.0, 2.0), True),
+            "up to the open edge": ((2.0, 0.5), (1.0, 0.5), False),
+            "up to the closed edge": ((-1.0, 0.5), (0.0, 0.5), True),
+        }
+        for name, (start, end, expected) in ways.items():
+            assert meets_exactly(start, end, [(0, 1), (0, 1)]) == expected, name
+            assert box.crosses(np.array(start), np.array(end), PLANE) == expected, name
+
     def test_follows_the_shorter_arc(self) -> None:
         box = Box(theta=(1.0, 2.0))
         start, end = np.array([0.5, 0.0]), np.array([6.0, 0.0])

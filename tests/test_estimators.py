@@ -65,7 +65,7 @@ def make_world(seed: int, num: int = 40, num_hypotheses: int = 9, spread: float 
     log_target = generator.normal(2.0, 1.0, num)
     log_proposal = log_target + generator.normal(0.0, spread, num)
     log_proposal -= np.log(np.exp(log_proposal).sum())
-    violates = generator.random((num, num_hypotheses)) < generator.uniform(0.1, 0.9, num_hypotheses)
+    violates = generator.random((num, num_hypotheses)) < generator.uniform(0.3, 0.7, num_hypotheses)
     return World(log_target, log_proposal, violates)
 
 
@@ -91,9 +91,9 @@ class TestLogWeights:
         )
 
     def test_are_float64_whatever_came(self) -> None:
-        reward, log_pi = np.float32([-300.25, 0.0]), np.float32([-1.5, -2.0])
+        reward, log_pi = np.array([[-300.25, 0.0], [-1.5, -2.0]], np.float32)
         found = log_weights(
-            reward, log_pi, np.int32([3, 3]), beta=0.1, measure="counting", num_actions=5
+            reward, log_pi, np.array([3, 3], np.int32), beta=0.1, measure="counting", num_actions=5
         )
         assert found.dtype == np.float64
         np.testing.assert_allclose(found, [-30.025 + 1.5, 2.0], rtol=1e-15)
@@ -245,7 +245,7 @@ class TestProperties:
     def test_a_constant_moves_only_log_partition(self, seed, shift) -> None:
         log_weight, violates = random_sample(np.random.default_rng(seed))
         moved = log_weight + shift
-        a, b = (avoid_probability(l, pack(violates), 11) for l in (log_weight, moved))
+        a, b = (avoid_probability(values, pack(violates), 11) for values in (log_weight, moved))
         np.testing.assert_allclose(a.avoid_probability, b.avoid_probability, atol=1e-9)
         np.testing.assert_allclose(a.avoid_variance, b.avoid_variance, atol=1e-9)
         assert effective_sample_size(moved) == pytest.approx(effective_sample_size(log_weight))

@@ -303,10 +303,12 @@ class TestViolations:
         assert [set(np.flatnonzero(row)) for row in hits] == [{0, 7, 6}, {3, 4}]
 
     def test_float32_states_are_judged_as_they_are(self) -> None:
+        """In float32 0.7 lies below 0.7, but its seventh part of a tenth is rounded to 7."""
         cells = grid(x=(0.0, 1.0, 10))
-        states = np.zeros((1, 2, 2), np.float32)
-        states[..., 0] = np.float32(0.1)  # above the float64 0.1
-        assert set(np.flatnonzero(entered(cells, states, PLANE, False)[0])) == {1}
+        states = np.full((1, 2, 2), 0.7, np.float32)
+        for hypotheses in (cells, as_list(cells)):
+            hits = entered(hypotheses, states, PLANE, True)[0]
+            assert set(np.flatnonzero(hits)) == {6}
 
     def test_a_million_cells(self) -> None:
         """Each trajectory enters few of them, and exactly those that its states or segments do."""

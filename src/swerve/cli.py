@@ -29,6 +29,7 @@ app = cyclopts.App(
     help="Infer which constraint a demonstrator is obeying.",
     version=swerve.__version__,
     default_parameter=Parameter(negative=()),
+    suppress_keyboard_interrupt=False,
 )
 
 Problem = Annotated[
@@ -205,7 +206,7 @@ def demo(*, work: WorkFolder = None, report: Path = Path("swerve-demo.html")) ->
 def main() -> None:
     """Run the command; errors become one line and an exit status."""
     try:
-        app()
+        app(sys.argv[1:])
     except KeyboardInterrupt:
         _say("interrupted; the same command goes on from what --work holds")
         sys.exit(130)

@@ -135,12 +135,13 @@ def avoid_probability(
     for first in range(0, num_hypotheses, BLOCK):
         count = min(BLOCK, num_hypotheses - first)
         block = violations[:, first // 8 : (first + count + 7) // 8]
-        entered = np.unpackbits(block, axis=1, count=count, bitorder="little")
-        sums.append(rows @ (1.0 - entered))
-    avoided, avoided_square = np.concatenate(sums, axis=1)
-    # sum w^2 (1[avoids] - p)^2, expanded
-    variance = avoided_square * (1.0 - 2.0 * avoided) + avoided**2 * np.sum(weight**2)
-    return Estimate(np.minimum(avoided, 1.0), np.maximum(variance, 0.0))
+        entered = np.unpackbits(block, axis=1, count=count, bitorder="little").astype(np.float64)
+        sums.append(np.concatenate([rows @ (1.0 - entered), rows @ entered]))
+    avoided, avoided_square, entered, entered_square = np.concatenate(sums, axis=1)
+    # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
+    variance = avoided_square * entered**2 + entered_square * avoided**2
+    probability = np.where(avoided < 0.5, avoided, 1.0 - entered)  # exact at both ends
+    return Estimate(probability, variance)
 
 
 def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:

@@ -23,9 +23,11 @@ from swerve.problem import ProblemRecord
 from swerve.space import TWO_PI, StateSpace
 
 TIME = ""
-RASTER = 240  # points a side at which constraints other than boxes are evaluated
+RASTER = 360  # points a side at which constraints other than boxes are evaluated
 MARGIN = 0.02  # of the range, around paths that leave the hypotheses behind
 ROUNDING = 1e-9
+MAX_IMAGES = 4  # rectangles of a box, which two angles may cut
+DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)])
 EVERYTHING = (-math.inf, math.inf)
 
 
@@ -62,6 +64,12 @@ class Plane:
             f"{name} [rad]" if name in self.space.angles else name or time for name in self.names
         )
         return first, second
+
+    @property
+    def is_map(self) -> bool:
+        """Whether the axes are positions x and y, whose units are the same."""
+        x, y = self.limits[:, 1] - self.limits[:, 0]
+        return set(self.names) == {"x", "y"} and bool(1 / 4 <= x / y <= 4)
 
     def line(self, path: Path) -> np.ndarray:
         """Return a path as points [L, 2] without jumps: angles may lie outside the drawn turn."""
@@ -105,6 +113,30 @@ class Plane:
         parts = np.clip(parts, self.limits[:, :1], self.limits[:, 1:])
         least = ROUNDING * (self.limits[:, 1] - self.limits[:, 0])
         return parts[(parts[..., 1] - parts[..., 0] > least).all(axis=1)].reshape(-1, 4)
+
+    def place(self, shown: np.ndarray, busy: np.ndarray, label: np.ndarray) -> np.ndarray:
+        """Return where to put a label beside a constraint, and where a line from it meets it.
+
+        Args:
+          shown: [R, 4] rectangles that show the constraint.
+          busy: [P, 2] points that it had better not cover; NaN is ignored.
+          label: [2] its half extents, as shares of the axes.
+
+        Returns:
+          [2, 2] centre of the label and end of the line, as shares of the axes.
+        """
+        low, extent = self.limits[:, :1], self.limits[:, 1:] - self.limits[:, :1]
+        parts = (shown.reshape(-1, 2, 2) - low) / extent
+        box = parts[np.diff(parts).prod(axis=1).argmax()]
+        if len(parts) > MAX_IMAGES:  # of a raster
+            box = np.stack([parts[..., 0].min(axis=0), parts[..., 1].max(axis=0)], axis=1)
+        middle, half = box.mean(axis=1), np.diff(box)[:, 0] / 2
+        places = middle + DIRECTIONS * (half + 1.3 * label)
+        points = (busy - low.T) / extent.T
+        cost = (np.abs(points[:, None] - places) < label).all(axis=2).sum(axis=0).astype(float)
+        cost += 1e9 * (np.abs(places - 0.5) > 0.5 - label).any(axis=1)
+        best = places[cost.argmin()]
+        return np.stack([best, np.clip(best, middle - half, middle + half)])
 
     def _raster(self, constraint: Constraint) -> np.ndarray:
         edges = [np.linspace(low, high, RASTER + 1) for low, high in self.limits]
@@ -175,12 +207,13 @@ def _axis(
         return math.nan, (0.0, float(values.max(initial=0.0)) or 1.0)
     bounds = space.bounds[space.column(name)]
     intervals = _intervals(hypotheses, name)
-    intervals = np.where(np.isfinite(intervals), intervals, bounds)
+    is_grid = isinstance(hypotheses, GridHypotheses)
+    if not is_grid and name not in space.angles:
+        intervals = np.clip(intervals, *bounds)
     if hypotheses.needs_code or not len(intervals):
         intervals = np.concatenate([intervals, bounds[None]])
     if name not in space.angles:
         return math.nan, _hull(intervals, values)
-    is_grid = isinstance(hypotheses, GridHypotheses)
     turn = float((intervals if is_grid else bounds).mean()) - math.pi
     low = _wrap(intervals[:, 0], turn)
     moved = np.stack([low, low + intervals[:, 1] - intervals[:, 0]], axis=1)

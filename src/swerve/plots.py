@@ -11,6 +11,7 @@ Shapes: H hypotheses, R rectangles, n states.
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from pathlib import Path
 from typing import Any, cast
@@ -29,26 +30,35 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
+from swerve import wording
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import Inference
 from swerve.plane import Plane
 
 NUM_LINES = 150  # nominal trajectories drawn, of all tasks together
 NUM_BARS = 12
-NUM_NAMED = 6  # hypotheses of the first rank that a headline names
-NUM_OUTLINED = 100  # and that are outlined
+NUM_OUTLINED = 100  # hypotheses of the first rank that are outlined
 MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
 NARROW = 6.0  # in; below it the colour bar goes under the picture
-LABEL = np.array([0.11, 0.055])  # half extents of the label, of the axes
-DIRECTIONS = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
+CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
+DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
 
 INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"
 STRUCK_OUT, HATCH, KNOWN = "#f3f3f3", "#b4b4b4", "#3c3c3c"
 DEMONSTRATION, NOMINAL = "#0072b2", "#555555"
 LEADER_BAR, OTHER_BAR = "#5b1a78", "#bcaec4"
-COLOURS = LinearSegmentedColormap.from_list(
-    "swerve", mpl.colormaps["magma_r"](np.linspace(0.0, 0.85, 256))
-)
+
+
+def _colour_map() -> LinearSegmentedColormap:
+    """Return magma from light to dark, with the yellow of its light end bleached: 0 is quiet."""
+    share = np.linspace(0.0, 1.0, 256)[:, None]
+    bleach = 0.9 * np.clip(1.0 - share / 0.3, 0.0, 1.0)
+    magma = mpl.colormaps["magma_r"](0.85 * share[:, 0])[:, :3]
+    colours = bleach * 0.98 + (1.0 - bleach) * magma
+    return LinearSegmentedColormap.from_list("swerve", list(map(tuple, colours)))
+
+
+COLOURS = _colour_map()
 
 
 def plot_inference(
@@ -65,13 +75,13 @@ def plot_inference(
       ValueError: if matplotlib knows no such format.
     """
     is_wide = width >= NARROW
-    header = [(headline(inference), 11.5, INK)]
+    header = [(wording.title(inference), 11.5, INK)]
     header += [(f"Warning: {text}.", 8.0, ALARM) for text in inference.warnings]
-    header.append((settings(inference), 7.5, FAINT))
-    figure, axes = _figure(header, width, width * (0.62 if is_wide else 1.25))
+    header.append((wording.settings(inference), 7.5, FAINT))
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
     nominal = _nominal_paths(inference)
     plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal])
+    figure, axes = _figure(header, width, *_size(plane, width))
     notes = _draw_scores(axes, inference, plane)
     notes += _draw_leaders(axes, inference, plane)
     _draw_known(axes, inference, plane)
@@ -81,7 +91,7 @@ def plot_inference(
     _finish(axes, plane, _wrapped(" ".join(notes), width - 1.5, 7.5))
     if len(inference.ranking):
         _colour_bar(axes, inference, "right" if is_wide else "bottom")
-    _legend(figure, axes, 3 if is_wide else 2)
+    _legend(figure, axes, is_wide)
     return _written(figure, path)
 
 
@@ -100,8 +110,8 @@ def plot_ranking(
     """
     shown, total = inference.ranking[:NUM_BARS], len(inference.ranking)
     title = f"The first {len(shown)} of {total} hypotheses that are left" if total else ""
-    header = [(title or headline(inference), 11.5, INK)]
-    figure, axes = _figure(header, width, 0.42 * len(shown) + 0.8)
+    header = [(title or wording.title(inference), 11.5, INK)]
+    figure, axes = _figure(header, width, 0.42 * len(shown) + 0.8, width)
     if not total:
         axes.set_axis_off()
         return _written(figure, path)
@@ -113,75 +123,30 @@ def plot_ranking(
     reach = float((score + error).max()) or 1.0
     style: dict[str, Any] = {"fontsize": 8, "color": INK, "parse_math": False}
     for row, index in enumerate(shown.tolist()):
-        tied = " (tied for first)" if is_first[row] and is_first.sum() > 1 else ""
-        text = f"{rank_text(inference, row)}   {hypothesis_text(inference, index)}"
-        text = textwrap.shorten(text, int(width * 12) - len(tied), placeholder=" ...")
-        axes.text(0, row - 0.25, text + tied, va="bottom", **style)
+        tied = " (tied)" if is_first[row] and len(inference.leaders) > 1 else ""
+        text = wording.cut(wording.hypothesis(inference, index), int(width * 14) - len(tied))
+        text = f"{wording.rank(inference, row)}   {text}{tied}"
+        axes.text(0.005 * reach, row - 0.25, text, va="bottom", **style)
         end = score[row] + error[row] + 0.015 * reach
-        axes.text(end, row, score_text(inference, index), va="center", **style)
+        axes.text(end, row, wording.score(inference, index), va="center", **style)
     axes.set(xlim=(0, 1.25 * reach), ylim=(len(shown) - 0.6, -0.75), yticks=[])
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
-    axes.set_xlabel(f"{score_label(inference)}, whiskers: standard error", fontsize=8.5)
+    label = f"{wording.score_label(inference)}; whiskers: standard error"
+    axes.set_xlabel(_wrapped(label, width - 0.5, 8.5), fontsize=8.5)
     return _written(figure, path)
 
 
-def headline(inference: Inference) -> str:
-    """Return the answer in one line: 'Cell 55: theta [3.14, 3.77) at 13.4 ± 0.1 nats'."""
-    if not len(inference.ranking):
-        return f"No hypothesis is left: demonstrations enter all {len(inference.struck_out)}"
-    best, *tied = inference.leaders.tolist()
-    text = f"{hypothesis_text(inference, best)} at {score_text(inference, best)}"
-    if tied:
-        more = f" and {len(tied) - NUM_NAMED} more" if len(tied) > NUM_NAMED else ""
-        text += f", tied with {', '.join(map(str, tied[:NUM_NAMED]))}{more}"
-    if not inference.demonstrations:
-        return f"No demonstrations: {text}, is what the nominal distribution enters most"
-    return text[0].upper() + text[1:]
-
-
-def settings(inference: Inference) -> str:
-    """Return what the answer depends on, in one line."""
-    evidence, tasks = inference.evidence, np.count_nonzero(inference.task_counts)
-    return (
-        f"{evidence.problem.summary}; {len(inference.demonstrations)} demonstrations, {tasks} "
-        f"tasks, {evidence.num_trajectories} trajectories a task from {evidence.solver}, "
-        f"{evidence.method} weights, seed {evidence.seed}"
-    )
-
-
-def noun(inference: Inference) -> str:
-    """Return what one hypothesis is called: 'cell' or 'hypothesis'."""
-    is_grid = isinstance(inference.evidence.problem.hypotheses, GridHypotheses)
-    return "cell" if is_grid else "hypothesis"
-
-
-def hypothesis_text(inference: Inference, index: int) -> str:
-    """Return for example 'cell 55: theta [3.14, 3.77)', the index and the name of a hypothesis."""
-    return f"{noun(inference)} {index}: {inference.hypothesis_name(index)}"
-
-
-def rank_text(inference: Inference, row: int) -> str:
-    """Return the rank of entry `row` of the ranking, for example '5=' where it is shared."""
-    rank = inference.rank[row]
-    return f"{rank}=" if np.count_nonzero(inference.rank == rank) > 1 else f"{rank}"
-
-
-def score_text(inference: Inference, index: int) -> str:
-    """Return for example '13.4 ± 0.1 nats', to the first digit of the standard error."""
-    unit = " nats" if inference.score_name == "likelihood" else " average violation"
-    score, error = float(inference.score[index]), float(inference.score_error[index])
-    digits = 3 if error < 1e-3 else max(0, -math.floor(math.log10(error)))
-    return f"{score:.{digits}f} ± {error:.{digits}f}{unit}"
-
-
-def score_label(inference: Inference) -> str:
-    """Return what colours and bars mean, with the unit."""
-    if inference.score_name == "average":
-        return "average violation probability"
-    if not inference.demonstrations:
-        return "log-likelihood ratio, were every task shown once [nats]"
-    return "log-likelihood ratio to no constraint [nats]"
+def _size(plane: Plane, width: float) -> tuple[float, float]:
+    """Return height and width [in] of axes with labels, legend and colour bar."""
+    is_wide = width >= NARROW
+    beside, below = (1.6, 1.0) if is_wide else (0.6, 1.9)
+    shape = 0.6 if is_wide else 0.9
+    if not plane.is_map:
+        return (width - beside) * shape + below, width
+    x, y = plane.limits[:, 1] - plane.limits[:, 0]
+    height = (width - beside) * min(y / x, shape + 0.3)
+    return height + below, height * x / y + beside
 
 
 def _draw_scores(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
@@ -189,7 +154,7 @@ def _draw_scores(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
     is_grid = isinstance(inference.evidence.problem.hypotheses, GridHypotheses)
     struck_out, notes = (_draw_grid if is_grid else _draw_list)(axes, inference, plane)
     if len(struck_out):
-        label = f"struck out: a demonstration enters it ({inference.struck_out.sum()})"
+        label = f"struck out by a demonstration ({inference.struck_out.sum()})"
         patch = _patch(struck_out, facecolor=STRUCK_OUT, edgecolor=HATCH, hatch="////", label=label)
         patch.set(linewidth=0, hatch_linewidth=0.6)
         axes.add_patch(patch)
@@ -223,27 +188,28 @@ def _draw_list(axes: Axes, inference: Inference, plane: Plane) -> tuple[np.ndarr
         parts.append(np.insert(rectangles, 4, inference.score[index], axis=1))
     drawn = np.concatenate(parts)
     left = drawn[np.isfinite(drawn[:, 4])]
-    shades = PolyCollection(_corners(left), cmap=COLOURS, norm=_norm(inference))
+    shades = PolyCollection(left[:, CORNERS], cmap=COLOURS, norm=_norm(inference))
     shades.set(array=left[:, 4], edgecolor="face", linewidth=0.3)
     axes.add_collection(shades, autolim=False)
-    note = f"Not drawn: {skipped} hypotheses that this plane cannot show."
+    note = f"Not drawn: {skipped} hypotheses outside this picture or not of its states."
     return drawn[np.isneginf(drawn[:, 4]), :4], [note] if skipped else []
 
 
 def _draw_leaders(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
-    """Outline the hypotheses of the first rank, the best one last and heavily."""
+    """Outline the hypotheses of the first rank, the best one heavily and on top."""
     shown = inference.leaders[:NUM_OUTLINED].tolist()
-    for index in reversed(shown):
+    for index in shown:
         is_best = index == shown[0]
         rectangles = plane.rectangles(inference.evidence.problem.hypotheses.constraint(index))
         if not len(rectangles):
             continue
-        label = "most likely" if is_best else "tied with it"
         colour = COLOURS(_norm(inference)(inference.score[index]))
-        patch = _patch(rectangles, facecolor=colour, linewidth=0, label=label, clip_on=False)
+        patch = _patch(rectangles, facecolor=colour, clip_on=False, zorder=1.6 + 0.1 * is_best)
         weight = 5.0 if is_best else 2.4
         edge = [Stroke(linewidth=weight + 2, foreground="white"), Stroke(linewidth=weight)]
-        patch.set(path_effects=[*edge, Normal()], zorder=1.6, edgecolor=INK)
+        top = Normal() if is_best else Stroke(linewidth=1.0, foreground="white", dashes=DASHES)
+        patch.set(path_effects=[*edge, top])
+        patch.set(edgecolor=INK, linewidth=0, label="ranked first" if is_best else "tied with it")
         axes.add_patch(patch)
     more = len(inference.leaders) - len(shown)
     return [f"{more} more are tied and not outlined."] if more else []
@@ -285,7 +251,7 @@ def _draw_demonstrations(axes: Axes, paths: list[planes.Path], plane: Plane) -> 
     style = {"color": DEMONSTRATION, "ls": "none", "ms": 3.5 + weight, "zorder": 3}
     for end, marker, fill in ((0, "o", "white"), (1, "s", DEMONSTRATION)):
         x, y = ends[:, end].T
-        axes.plot(x, y, marker, mfc=fill, label=("start", "end")[end], **style)
+        axes.plot(x, y, marker, mfc=fill, label=("start", "end")[end], clip_on=False, **style)
 
 
 def _annotate(
@@ -294,22 +260,19 @@ def _annotate(
     """Write index and score beside the best hypothesis, where the fewest demonstrations pass."""
     if not len(inference.ranking):
         return
-    best = int(inference.ranking[0])
-    rectangles = plane.rectangles(inference.evidence.problem.hypotheses.constraint(best))
+    leaders = inference.leaders[:NUM_OUTLINED].tolist()
+    best, constraint = leaders[0], inference.evidence.problem.hypotheses.constraint
+    rectangles = plane.rectangles(constraint(best))
     if not len(rectangles):
         return
-    low, extent = plane.limits[:, 0], plane.limits[:, 1] - plane.limits[:, 0]
-    x0, x1, y0, y1 = rectangles[len(rectangles) // 2]
-    at = np.array([x0 + x1, y0 + y1]) / 2
-    points = [plane.pieces(path) for path in demonstrations]
-    busy = (np.concatenate([np.zeros((0, 2)), *points]) - low) / extent
-    places = (at - low) / extent + np.array([x1 - x0, y1 - y0]) / 2 / extent * DIRECTIONS
-    places += DIRECTIONS * LABEL * 1.5
-    inside = (np.abs(busy[:, None] - places) < LABEL).all(axis=2).sum(axis=0)
-    inside = inside + 1e9 * (np.abs(places - 0.5) > 0.5 - LABEL).any(axis=1)
+    text = f"{wording.noun(inference)} {best}\n{wording.score(inference, best)}"
+    size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # of the axes, about
+    label = np.array([0.05 * max(map(len, text.split("\n"))), 0.22]) / size
+    ties = [plane.rectangles(constraint(k))[:, [0, 2]] for k in leaders]
+    busy = [*20 * ties, *(plane.pieces(path) for path in demonstrations)]
+    place, end = plane.place(rectangles, np.concatenate(busy), label)
     axes.annotate(
-        f"{noun(inference)} {best}\n{score_text(inference, best)}",
-        at, places[inside.argmin()], textcoords="axes fraction", ha="center", va="center",
+        text, end, place, xycoords="axes fraction", textcoords="axes fraction", ha="center", va="center",
         fontsize=9, fontweight="bold", color=INK, zorder=4, parse_math=False,
         bbox={"boxstyle": "round,pad=0.3", "fc": "white", "ec": INK, "lw": 0.8},
         arrowprops={"arrowstyle": "-", "color": INK, "lw": 1.2},
@@ -323,7 +286,7 @@ def _finish(axes: Axes, plane: Plane, notes: str) -> None:
     axes.set_ylabel(y, fontsize=9, parse_math=False)
     axes.set_title(notes, fontsize=7.5, color=FAINT, loc="left", parse_math=False)
     axes.tick_params(labelsize=8)
-    if set(plane.names) == {"x", "y"}:
+    if plane.is_map:
         axes.set_aspect("equal")
 
 
@@ -332,14 +295,15 @@ def _colour_bar(axes: Axes, inference: Inference, location: str) -> None:
     bar = cast(Figure, axes.figure).colorbar(
         colours, ax=axes, location=location, aspect=35, pad=0.02
     )
-    bar.set_label(score_label(inference), fontsize=8.5)
+    bar.set_label(wording.score_label(inference), fontsize=8.5)
     bar.ax.tick_params(labelsize=8)
 
 
-def _legend(figure: Figure, axes: Axes, num_columns: int) -> None:
+def _legend(figure: Figure, axes: Axes, is_wide: bool) -> None:
     handles, labels = axes.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
-    style: dict[str, Any] = {"fontsize": 8, "frameon": False, "ncols": num_columns}
+    style: dict[str, Any] = {"fontsize": 8 if is_wide else 7.5, "columnspacing": 1.2}
+    style |= {"frameon": False, "ncols": 3 if is_wide else 2, "handlelength": 1.8}
     figure.legend(unique.values(), unique.keys(), loc="outside lower left", **style)
 
 
@@ -347,38 +311,26 @@ def _norm(inference: Inference) -> Normalize:
     return Normalize(0.0, float(inference.score[inference.ranking].max(initial=0.0)) or 1.0)
 
 
-def _corners(rectangles: np.ndarray) -> np.ndarray:
-    """Return [R, 4, 2] the corners of rectangles [R, 4]."""
-    return np.stack(
-        [
-            rectangles[:, [0, 2]],
-            rectangles[:, [1, 2]],
-            rectangles[:, [1, 3]],
-            rectangles[:, [0, 3]],
-        ],
-        axis=1,
-    )
-
-
 def _patch(rectangles: np.ndarray, **style: Any) -> PathPatch:
     """Return rectangles [R, 4] as one patch."""
-    corners = _corners(rectangles)
-    vertices = np.concatenate([corners, corners[:, :1]], axis=1).reshape(-1, 2)
+    vertices = rectangles[:, [*CORNERS, CORNERS[0]]].reshape(-1, 2)
     codes = [Outline.MOVETO, *3 * [Outline.LINETO], Outline.CLOSEPOLY]
     return PathPatch(Outline(vertices, np.tile(codes, len(rectangles))), **style)
 
 
 def _figure(
-    header: list[tuple[str, float, str]], width: float, height: float
+    header: list[tuple[str, float, str]], width: float, height: float, used: float
 ) -> tuple[Figure, Axes]:
-    """Return a figure with lines of (text, size [pt], colour) above axes of a height [in]."""
+    """Return a figure with lines of (text, size [pt], colour) above axes that use this width [in]."""
     lines = []
     for text, size, colour in header:
         lines += [(line, size, colour) for line in _wrapped(text, width - 0.3, size).split("\n")]
     top = 0.15 + sum(1.4 * size / 72 for _, size, _ in lines)
     figure = Figure((width, height + top), facecolor="white")
     FigureCanvasAgg(figure)
-    figure.set_layout_engine(ConstrainedLayoutEngine(rect=(0, 0, 1, height / (height + top))))
+    figure.set_layout_engine(
+        ConstrainedLayoutEngine(rect=(0, 0, used / width, height / (height + top)))
+    )
     y = height + top - 0.1
     for text, size, colour in lines:
         weight = "normal" if colour == FAINT else "bold"
@@ -390,6 +342,7 @@ def _figure(
 
 def _wrapped(text: str, width: float, size: float) -> str:
     """Break text of a size [pt] into lines of a width [in]."""
+    text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)
     return textwrap.fill(text, int(width * 72 / (0.6 * size)))
 
 

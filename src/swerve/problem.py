@@ -127,7 +127,7 @@ class ProblemRecord:
     @property
     def fingerprint(self) -> str:
         """A hash that differs between problems: of the model, hypotheses, and all settings."""
-        return _digest(json.dumps(self.to_json(), sort_keys=True))
+        return _digest(json.dumps(self.to_json()))  # unsorted: the order of a grid's axes counts
 
     @property
     def summary(self) -> str:

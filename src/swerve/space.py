@@ -2,7 +2,7 @@
 
 An angle theta stands for theta + 2 pi k, so the difference between two angles is the shorter arc,
 
-    difference(a, b) = (b - a + pi) mod 2 pi - pi,
+    difference(a, b) = d - 2 pi round(d / (2 pi)),    d = b - a,
 
 and a straight segment between two states follows it. Everything here works alike on NumPy and
 JAX arrays, and imports neither JAX nor anything of Swerve.
@@ -95,7 +95,7 @@ class StateSpace:
         """Return end - start [..., n], along the shorter arc for angles."""
         xp = start.__array_namespace__()
         delta = end - start
-        wrapped = (delta + math.pi) % TWO_PI - math.pi
+        wrapped = delta - TWO_PI * xp.round(delta / TWO_PI)
         return cast(Any, xp.where(self.is_angle, wrapped, delta))
 
     def relative_distance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:

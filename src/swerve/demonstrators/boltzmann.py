@@ -71,6 +71,8 @@ def demonstrate(
 def draw_tasks(problem: Problem, constraint: Constraint, num_tasks: int, *, seed: int = 0) -> Task:
     """Draw tasks from the MDP whose start and goal, where it is a state, lie outside a constraint.
 
+    Starts where the episode would be over already are left out too.
+
     Raises:
       ValueError: if almost every task drawn touches the constraint.
     """
@@ -78,7 +80,7 @@ def draw_tasks(problem: Problem, constraint: Constraint, num_tasks: int, *, seed
     keys = jax.random.split(jax.random.key(seed), 20 * num_tasks + 100)
     drawn = jax.vmap(mdp.sample_task)(keys)
     start, goal = np.asarray(drawn.start, np.float64), np.asarray(drawn.goal, np.float64)
-    outside = np.ones(len(start), bool)
+    outside = ~np.asarray(jax.vmap(mdp.terminated)(drawn.start, drawn.goal))
     for forbidden in (*problem.known, constraint):
         outside &= ~forbidden.contains(start, mdp.space)
         if mdp.goal_names == mdp.state_names:

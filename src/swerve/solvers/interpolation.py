@@ -29,7 +29,7 @@ SMOOTH = 1.0  # nats between cubic and linear interpolation beyond which there i
 
 
 class Stencil(NamedTuple):
-    """What interpolates at one point.
+    """What interpolates at one point, over all axes or along one.
 
     Attributes:
       nodes: [K] indices of nodes.
@@ -85,30 +85,44 @@ class StateGrid:
     def stencil(self, state: Float[Array, " n"]) -> Stencil:
         """Return the nodes and weights that interpolate at one state."""
         stencil = Stencil(jnp.zeros(1, jnp.int32), jnp.ones(1), jnp.ones(1))
-        for k, points in enumerate(self.num_points):
-            position = (state[k] - self.low[k]) / self.spacing[k]
-            if self.periodic[k]:
-                position = position % points
-                below = jnp.floor(position)
-            else:
-                position = jnp.clip(position, 0.0, points - 1.0)
-                below = jnp.clip(jnp.floor(position), 1.0, points - 3.0)
-            near = (below.astype(jnp.int32) + jnp.arange(-1, 3)) % points
-            x = position - below
+        for points, axis in zip(self.num_points, self._axis_stencils(state), strict=True):
             stencil = Stencil(
-                (stencil.nodes[:, None] * points + near).reshape(-1),
-                (stencil.cubic[:, None] * _cubic_weights(x)).reshape(-1),
-                (stencil.linear[:, None] * _linear_weights(x)).reshape(-1),
+                (stencil.nodes[:, None] * points + axis.nodes).reshape(-1),
+                (stencil.cubic[:, None] * axis.cubic).reshape(-1),
+                (stencil.linear[:, None] * axis.linear).reshape(-1),
             )
         return stencil
 
     def interpolate(
         self, values: Float[Array, " S"], state: Float[Array, " n"]
     ) -> Float[Array, ""]:
-        """Return the value at one state from values at the nodes."""
-        nodes, cubic, linear = self.stencil(state)
-        near = values[nodes]
-        return choose_smooth(jnp, near @ cubic, near @ linear)
+        """Return the value at one state from values at the nodes, contracting axis by axis."""
+        axes = self._axis_stencils(state)
+        nodes = jnp.zeros((), jnp.int32)
+        for points, axis in zip(self.num_points, axes, strict=True):
+            nodes = nodes[..., None] * points + axis.nodes
+        cubic = linear = values[nodes]
+        for axis in reversed(axes):
+            cubic = jnp.sum(cubic * axis.cubic, axis=-1)
+            linear = jnp.sum(linear * axis.linear, axis=-1)
+        return choose_smooth(jnp, cubic, linear)
+
+    def _axis_stencils(self, state: Float[Array, " n"]) -> list[Stencil]:
+        """Return the 4 nodes of each axis, numbered along it, and their weights."""
+        axes = []
+        for k, points in enumerate(self.num_points):
+            position = (state[k] - self.low[k]) / self.spacing[k]
+            if self.periodic[k]:
+                position = position - points * jnp.floor(position / points)  # vectorised, % is not
+                below = jnp.floor(position)
+            else:
+                position = jnp.clip(position, 0.0, points - 1.0)
+                below = jnp.clip(jnp.floor(position), 1.0, points - 3.0)
+            near = below.astype(jnp.int32) + jnp.arange(-1, 3)
+            near = jnp.where(near < 0, near + points, jnp.where(near < points, near, near - points))
+            x = position - below
+            axes.append(Stencil(near, _cubic_weights(x), _linear_weights(x)))
+        return axes
 
 
 def choose_smooth(xp: Any, cubic: Any, linear: Any) -> Any:

@@ -44,7 +44,7 @@ class Pendulum(MDP):
     state_names = ("theta", "omega")
     action_names = ("torque",)
     angles = ("theta",)
-    bounds = ((0.0, TWO_PI), (-12.0, 12.0))
+    bounds = ((0.0, TWO_PI), (-8.0, 8.0))
 
     @property
     def actions(self) -> Float[Array, "A 1"]:

@@ -1,0 +1,125 @@
+"""The words of an inference that pictures and reports share.
+
+score ± standard error,    to the first digit of the error
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from swerve.hypotheses import GridHypotheses
+from swerve.inference import TIE_ERRORS, Inference
+
+NUM_NAMED = 6  # hypotheses tied with the first that are named
+MAX_NAME = 120  # characters of a hypothesis in a title
+
+
+def title(inference: Inference) -> str:
+    """Return the answer in one line: 'Cell 55: theta [3.14, 3.77) at 13.4 ± 0.1 nats'."""
+    if not len(inference.ranking):
+        return f"No hypothesis is left: demonstrations enter all {len(inference.struck_out)}"
+    best = int(inference.leaders[0])
+    what = cut(hypothesis(inference, best), MAX_NAME)
+    text = f"{what} at {score(inference, best)}{_tied(inference)}"
+    if not inference.demonstrations:
+        return f"No demonstrations yet. Prior ranking: {text}"
+    return text[0].upper() + text[1:]
+
+
+def sentence(inference: Inference) -> str:
+    """Return the answer in a plain sentence or two."""
+    if not len(inference.ranking):
+        return (
+            f"No hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
+            "least one demonstration."
+        )
+    best = int(inference.leaders[0])
+    what, value = hypothesis(inference, best), score(inference, best)
+    tied = _tied(inference)
+    if not inference.demonstrations:
+        return (
+            f"There are no demonstrations yet, so this is the prior ranking: what someone under no "
+            f"constraint would most often enter is {what} ({value} over all tasks{tied})."
+        )
+    if inference.score[best] <= TIE_ERRORS * inference.score_error[best]:
+        return (
+            f"No hypothesis explains the demonstrations noticeably better than no constraint does; "
+            f"first is {what}, at {value}{tied}."
+        )
+    basis = counted(len(inference.demonstrations), "demonstration")
+    return f"What best explains {basis} is a constraint on {what}, at {value}{tied}."
+
+
+def settings(inference: Inference) -> str:
+    """Return what the answer depends on, in one line."""
+    evidence = inference.evidence
+    return (
+        f"{evidence.problem.summary}; {counted(len(inference.demonstrations), 'demonstration')}, "
+        f"{counted(np.count_nonzero(inference.task_counts), 'task')}, "
+        f"{evidence.num_trajectories:,} trajectories a task from {evidence.solver}, "
+        f"{evidence.method} weights, seed {evidence.seed}"
+    )
+
+
+def counted(number: int, noun: str) -> str:
+    """Return for example '1 task' or '1,200 tasks'."""
+    return f"{number:,} {noun if number == 1 else _plural(noun)}"
+
+
+def cut(text: str, length: int) -> str:
+    """Return text on one line of at most so many characters."""
+    text = " ".join(text.split())
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+def noun(inference: Inference) -> str:
+    """Return what one hypothesis is called: 'cell' or 'hypothesis'."""
+    is_grid = isinstance(inference.evidence.problem.hypotheses, GridHypotheses)
+    return "cell" if is_grid else "hypothesis"
+
+
+def hypothesis(inference: Inference, index: int) -> str:
+    """Return for example 'cell 55: theta [3.14, 3.77)', the index and the name of a hypothesis."""
+    return f"{noun(inference)} {index}: {inference.hypothesis_name(index)}"
+
+
+def rank(inference: Inference, row: int) -> str:
+    """Return the rank of entry `row` of the ranking, for example '5=' where it is shared."""
+    number = inference.rank[row]
+    return f"{number}=" if np.count_nonzero(inference.rank == number) > 1 else f"{number}"
+
+
+def score(inference: Inference, index: int) -> str:
+    """Return for example '13.4 ± 0.1 nats'."""
+    unit = "nats" if inference.score_name == "likelihood" else "average violation"
+    return f"{measured(inference.score[index], inference.score_error[index])} {unit}"
+
+
+def measured(value: float, error: float) -> str:
+    """Return for example '13.4 ± 0.1', to the first digit of the standard error."""
+    digits = 3 if error < 1e-3 else max(0, -math.floor(math.log10(float(f"{error:.0e}"))))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
+def score_label(inference: Inference) -> str:
+    """Return what colours and bars mean, with the unit."""
+    if inference.score_name == "average":
+        return "average violation probability"
+    if not inference.demonstrations:
+        return "log-likelihood ratio, were every task shown once [nats]"
+    return "log-likelihood ratio to no constraint [nats]"
+
+
+def _tied(inference: Inference) -> str:
+    tied = inference.leaders[1:].tolist()
+    if not tied:
+        return ""
+    more = f" and {len(tied) - NUM_NAMED:,} more" if len(tied) > NUM_NAMED else ""
+    what = noun(inference) if len(tied) == 1 else _plural(noun(inference))
+    return f", tied with {what} {', '.join(map(str, tied[:NUM_NAMED]))}{more}"
+
+
+def _plural(noun: str) -> str:
+    return f"{noun[:-2]}es" if noun.endswith("is") else f"{noun}s"

@@ -1,0 +1,360 @@
+"""The command as a user meets it: answers, work folders, and what it says of bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swerve import cli, store
+
+ROBOT = """
+import math
+import neighbour
+from swerve import Pendulum, Problem, grid
+
+def problem(beta: float = 0.05, between_states: bool = True):
+    cells = grid(theta=(0.0, 2 * math.pi, 6), omega=(-4.0, 4.0, 5))
+    mdp = Pendulum(max_torque=neighbour.MAX_TORQUE, dt=0.4, num_steps=6)
+    return Problem(mdp, cells, beta=beta, between_states=between_states)
+"""
+SOLVER = "grid?num_points=40"
+CONSTRAINT = 17
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> str:
+    """A user's problem in a file of its own, with a neighbour that it imports."""
+    (tmp_path / "robot.py").write_text(ROBOT)
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
+    sys.modules.pop("neighbour", None)
+    return f"{tmp_path / 'robot.py'}:problem"
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command in this process; return status, standard output and standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        sys.modules.pop("neighbour", None)  # a new process would import it anew
+        monkeypatch.setattr(sys, "argv", ["swerve", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as stop:
+            status = stop.code if isinstance(stop.code, int) else 1
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Demonstrations of a constraint, made by the command itself."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "robot.py").write_text(ROBOT)
+    (folder / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
+    sys.modules.pop("neighbour", None)
+    cli.demonstrate(f"{folder}/robot.py:problem", constraint=CONSTRAINT, num=4, out=folder / "out")
+    return sorted((folder / "out").glob("demo_*.csv"))
+
+
+def infer(robot: str, files: list[Path], work: Path, *more: object) -> list[object]:
+    """Return the arguments of an inference."""
+    tasks = files[0].parent / "tasks.csv"
+    return ["infer", robot, *files, "--tasks", tasks, "--work", work, "--samples", 500, *more]
+
+
+def test_from_demonstrations_to_a_ranking(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    report = tmp_path / "report.html"
+    arguments = infer(robot, demonstrations, tmp_path / "work", "--solver", SOLVER, "--json")
+    status, out, _ = run(*arguments, "--report", report)
+    assert status == 0
+    answer = json.loads(out)
+    ranking = answer["ranking"]
+    assert CONSTRAINT in [entry["index"] for entry in ranking]
+    assert {"index", "name", "log_likelihood", "standard_error"} <= set(ranking[0])
+    nats = [entry["log_likelihood"] for entry in ranking]
+    assert nats == sorted(nats, reverse=True)
+    assert len(answer["diagnostics"]) == 4
+    assert all(d["effective_sample_size"] > 250 for d in answer["diagnostics"])
+    assert "<html" in report.read_text()
+    status, out, _ = run(*arguments[:-1])
+    assert status == 0
+    assert ranking[0]["name"] in out
+    assert "uniform measure" in out
+
+
+def test_second_call_needs_neither_jax_nor_user_code(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    arguments = infer(robot, demonstrations, tmp_path / "work", "--json")
+    status, first, _ = run(*arguments, "--solver", SOLVER)
+    assert status == 0
+    code = (
+        "import sys\n"
+        "for name in ('jax', 'equinox', 'neighbour', 'polars', 'rich.progress', 'matplotlib'):\n"
+        "    sys.modules[name] = None\n"  # importing it would raise
+        f"sys.argv = {['swerve', *map(str, arguments)]!r}\n"
+        "from swerve.cli import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert json.loads(done.stdout) == json.loads(first)
+
+
+@pytest.mark.parametrize("changed", ["robot.py", "neighbour.py"])
+def test_a_changed_source_is_noticed(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path, changed: str
+) -> None:
+    arguments = infer(robot, demonstrations, tmp_path / "work", "--json")
+    _, first, _ = run(*arguments, "--solver", SOLVER)
+    source = tmp_path / changed
+    source.write_text(source.read_text().replace("3.0", "2.0").replace("0.05", "0.2"))
+    status, second, said = run(*arguments, "--solver", SOLVER)
+    assert status == 0
+    assert f"{changed} has changed" in said
+    assert "working it out anew" in said
+    partitions = [
+        [task["log_partition"] for task in json.loads(text)["diagnostics"]]
+        for text in (first, second)
+    ]
+    assert partitions[0] != partitions[1]
+    status, third, said = run(*arguments)
+    assert "has changed" not in said
+    assert json.loads(third) == json.loads(second)
+
+
+def test_new_tasks_are_added_to_what_is_there(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    run(*infer(robot, demonstrations[:2], work, "--solver", SOLVER))
+    _, out, _ = run(*infer(robot, demonstrations, work, "--json"))
+    together = {tuple(d["start"]): d["log_partition"] for d in json.loads(out)["diagnostics"]}
+    _, out, _ = run(*infer(robot, demonstrations, tmp_path / "other", "--solver", SOLVER, "--json"))
+    anew = {tuple(d["start"]): d["log_partition"] for d in json.loads(out)["diagnostics"]}
+    assert together == pytest.approx(anew, abs=1e-4)
+
+
+def test_asking_for_other_samples_samples_anew(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    arguments = infer(robot, demonstrations[:1], tmp_path / "work", "--solver", SOLVER, "--json")
+    run(*arguments)
+    arguments[arguments.index("--samples") + 1] = 700
+    _, out, _ = run(*arguments, "--method", "plain")
+    [diagnostics] = json.loads(out)["diagnostics"]
+    assert (diagnostics["num_trajectories"], diagnostics["method"]) == (700, "plain")
+
+
+def test_learn_and_sample_ahead_then_infer(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work, tasks = tmp_path / "work", demonstrations[0].parent / "tasks.csv"
+    assert run("learn", robot, "--work", work, "--solver", SOLVER)[0] == 0
+    status, out, _ = run("sample", robot, "--work", work, "--tasks", tasks, "--samples", 500)
+    assert status == 0
+    assert "500 trajectories for each of 4 tasks" in out
+    before = {path: path.stat().st_mtime_ns for path in work.iterdir()}
+    assert run(*infer(robot, demonstrations, work))[0] == 0
+    assert {path: path.stat().st_mtime_ns for path in work.iterdir()} == before
+
+
+def test_without_demonstrations_the_ranking_is_the_prior_one(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    tasks = demonstrations[0].parent / "tasks.csv"
+    common = ("--solver", SOLVER, "--samples", 500, "--work", tmp_path / "work", "--json")
+    status, out, _ = run("infer", robot, "--tasks", tasks, *common)
+    assert status == 0
+    answer = json.loads(out)
+    assert answer["num_demonstrations"] == 0
+    assert len(answer["ranking"]) == 30
+    violated = [entry["average_violation"] for entry in answer["ranking"]]
+    assert violated[0] > 0.5
+    status, out, _ = run("infer", robot, *common)
+    assert status == 0
+    assert len(json.loads(out)["diagnostics"]) == 4
+
+
+def test_works_without_a_work_folder(robot: str, run: Run, demonstrations: list[Path]) -> None:
+    status, out, _ = run("infer", robot, demonstrations[0], "--solver", SOLVER, "--samples", 200)
+    assert status == 0
+    assert "hypothesis" in out
+
+
+class TestBadInput:
+    def test_missing_column(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "x.csv").write_text("t,theta\n0,1\n1,2\n")
+        status, _, said = run("infer", "pendulum", tmp_path / "x.csv")
+        assert status == 1
+        assert "no column omega" in said
+
+    def test_empty_file(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "x.csv").write_text("")
+        status, _, said = run("infer", "pendulum", tmp_path / "x.csv")
+        assert status == 1
+        assert "x.csv: the file is empty" in said
+
+    def test_nan(self, run: Run, tmp_path: Path) -> None:
+        rows = [f"{0.1 * k},1,{'nan' if k == 16 else 0}" for k in range(30)]
+        (tmp_path / "x.csv").write_text("t,theta,omega\n" + "\n".join(rows))
+        status, _, said = run("infer", "pendulum", tmp_path / "x.csv")
+        assert status == 1
+        assert "row 17" in said
+        assert "omega" in said
+
+    def test_goal_outside(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "x.csv").write_text("theta,omega\n1,0\n1,0.1\n")
+        (tmp_path / "tasks.csv").write_text(
+            "demo,start_theta,start_omega,goal_theta,goal_omega\nx,1,0,1,55\n"
+        )
+        status, _, said = run(
+            "infer", "pendulum", tmp_path / "x.csv", "--tasks", tmp_path / "tasks.csv"
+        )
+        assert status == 1
+        assert "goal omega = 55 is outside the bounds" in said
+
+    def test_starts_elsewhere(self, run: Run, tmp_path: Path) -> None:
+        (tmp_path / "x.csv").write_text("theta,omega\n1,0\n1,0.1\n")
+        (tmp_path / "tasks.csv").write_text(
+            "demo,start_theta,start_omega,goal_theta,goal_omega\nx,2,0,1,0\n"
+        )
+        status, _, said = run(
+            "infer", "pendulum", tmp_path / "x.csv", "--tasks", tmp_path / "tasks.csv"
+        )
+        assert status == 1
+        assert "start" in said
+
+    def test_enters_every_hypothesis(self, robot: str, run: Run, tmp_path: Path) -> None:
+        omega = np.linspace(-3.9, 3.9, 5)
+        theta = np.linspace(0.0, 6.2, 60)
+        rows = [f"{angle},{speed}" for speed in omega for angle in (*theta, *theta[::-1])]
+        (tmp_path / "x.csv").write_text("theta,omega\n" + "\n".join(rows))
+        status, out, said = run(
+            "infer", robot, tmp_path / "x.csv", "--solver", SOLVER, "--samples", 100
+        )
+        assert status == 0
+        assert "no hypothesis is left" in said
+        assert "x alone enters 30" in said
+        assert "No hypothesis is left" in out
+
+    def test_unknown_problem(self, run: Run) -> None:
+        status, _, said = run("infer", "pendulun")
+        assert status == 1
+        assert "expected one of pendulum" in said
+
+    def test_unknown_parameter(self, run: Run) -> None:
+        status, _, said = run("infer", "pendulum?torque=3")
+        assert status == 1
+        assert "no parameter 'torque'; there are max_torque" in said
+
+    def test_unknown_solver(self, robot: str, run: Run) -> None:
+        status, _, said = run("infer", robot, "--solver", "magic")
+        assert status == 1
+        assert "no solver named 'magic'; there are grid, ppo" in said
+
+    def test_work_folder_of_another_problem(
+        self, robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+    ) -> None:
+        work = tmp_path / "work"
+        run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+        before = {path: path.read_bytes() for path in work.iterdir()}
+        status, _, said = run(*infer(f"{robot}?beta=2", demonstrations[:1], work))
+        assert status == 1
+        assert "holds the results of" in said
+        assert "another --work folder" in said
+        assert {path: path.read_bytes() for path in work.iterdir()} == before
+
+    def test_truncated_evidence(
+        self, robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+    ) -> None:
+        work = tmp_path / "work"
+        arguments = infer(robot, demonstrations[:1], work, "--solver", SOLVER)
+        run(*arguments)
+        [path] = work.glob("*.evidence")
+        path.write_bytes(path.read_bytes()[:-100])
+        before = path.read_bytes()
+        status, _, said = run(*arguments)
+        assert status == 1
+        assert f"{path}: cut short or altered" in said
+        assert path.read_bytes() == before
+
+    def test_read_only_folder_is_refused_before_the_work(
+        self, robot: str, run: Run, demonstrations: list[Path], tmp_path: Path, nobody: None
+    ) -> None:
+        work = tmp_path / "locked" / "work"
+        status, _, said = run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+        assert status == 1
+        assert "cannot write in" in said
+        assert "choose a folder that you can write" in said
+        assert "sampling" not in said
+
+
+@pytest.fixture
+def nobody(tmp_path: Path, demonstrations: list[Path]) -> Iterator[None]:
+    """Run as a user who may read everything in the temporary folder and write nothing."""
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    for folder in (demonstrations[0].parent, *demonstrations[0].parents, tmp_path):
+        if folder.stat().st_uid == os.geteuid() and folder.is_relative_to(tmp_path.parents[1]):
+            folder.chmod(0o755)
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def test_ctrl_c_while_training_keeps_a_checkpoint(robot: str, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    solver = "ppo?num_steps=4e6&num_lanes=16&segment=8&num_minibatches=2&width=8"
+    arguments = [sys.executable, "-m", "swerve", "learn", robot, "--work", work, "--solver", solver]
+    process = subprocess.Popen([*map(str, arguments)], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not list(work.glob("*.checkpoint")) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command goes on" in said
+    assert "Traceback" not in said
+    [checkpoint] = work.glob("*.checkpoint")
+    assert store.open_file(checkpoint, "swerve-ppo-checkpoint", 1).names
+    assert not list(work.glob("*.nominal"))
+
+
+def test_importing_swerve_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, swerve\n"
+        "heavy = {'numpy', 'jax', 'equinox', 'scipy', 'polars', 'matplotlib', 'rich', 'cyclopts'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+        "assert set(swerve.__all__) <= set(dir(swerve))\n"
+        "for name in swerve.__all__: getattr(swerve, name)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_unknown_attribute() -> None:
+    import swerve
+
+    with pytest.raises(AttributeError, match="has no attribute 'infur'"):
+        swerve.infur  # noqa: B018

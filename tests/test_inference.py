@@ -1,0 +1,448 @@
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic import (
+    TASKS,
+    evidence_of_columns,
+    make_demonstration,
+    make_evidence,
+    make_record,
+    make_samples,
+)
+
+from swerve.demonstrations import Demonstration
+from swerve.evidence import Evidence
+from swerve.hypotheses import grid, unpack
+from swerve.inference import Inference, infer
+from swerve.space import TWO_PI, Task
+
+CELLS = grid(x=(0.0, 10.0, 10))  # hypothesis k: k <= x < k + 1; the tasks start in 1, 5 and 9
+seeds = st.integers(0, 2**32 - 1)
+
+
+def evidence_with_chances(
+    chances: list[float] | np.ndarray, num: int = 1000, num_tasks: int = 3, seed: int = 0
+) -> Evidence:
+    """Equal weights; hypothesis k is entered by this share of the trajectories of every task."""
+    generator = np.random.default_rng(seed)
+    columns = np.zeros((num_tasks, num, len(chances)), bool)
+    for task in columns:
+        for k, chance in enumerate(chances):
+            task[generator.permutation(num)[: round(chance * num)], k] = True
+    return evidence_of_columns(columns, CELLS)
+
+
+RISING = [0.05 * k for k in range(10)]
+
+
+class TestStruckOut:
+    def test_what_a_demonstration_enters_is_struck_out(self) -> None:
+        demonstrations = [make_demonstration(0, "a", x=3.5), make_demonstration(1, "b")]
+        result = infer(evidence_with_chances(RISING), demonstrations)
+        np.testing.assert_array_equal(np.flatnonzero(result.struck_out), [1, 3, 5])
+        np.testing.assert_array_equal(np.flatnonzero(result.entered[0]), [1, 3])
+        np.testing.assert_array_equal(np.flatnonzero(result.entered[1]), [5])
+        assert np.isneginf(result.log_likelihood[[1, 3, 5]]).all()
+        assert np.isfinite(np.delete(result.log_likelihood, [1, 3, 5])).all()
+        np.testing.assert_array_equal(result.ranking, [9, 8, 7, 6, 4, 2, 0])
+
+    @pytest.mark.parametrize("between_states", [True, False])
+    def test_segments_count_if_the_problem_says_so(self, between_states: bool) -> None:
+        record = make_record(hypotheses=CELLS, between_states=between_states)
+        evidence = make_evidence(record, make_samples(num_hypotheses=10))
+        result = infer(evidence, [make_demonstration(0, x=4.5)])
+        expected = [1, 2, 3, 4] if between_states else [1, 4]
+        np.testing.assert_array_equal(np.flatnonzero(result.struck_out), expected)
+
+    def test_without_demonstrations_none_is(self) -> None:
+        result = infer(evidence_with_chances(RISING))
+        assert not result.struck_out.any()
+        assert result.entered.shape == (0, 10)
+        assert len(result.ranking) == 10
+
+
+class TestLogLikelihood:
+    def test_is_minus_the_log_ratio_of_the_task(self) -> None:
+        evidence = evidence_with_chances(RISING)
+        for task in range(3):
+            result = infer(evidence, [make_demonstration(task)])
+            left = ~result.struck_out
+            np.testing.assert_array_equal(result.task_of, [task])
+            np.testing.assert_allclose(
+                result.log_likelihood[left], -np.log(1.0 - np.array(RISING))[left], atol=1e-12
+            )
+            np.testing.assert_allclose(result.log_likelihood[left], -evidence.log_ratio[task][left])
+            np.testing.assert_allclose(result.standard_error, evidence.standard_error[task])
+
+    @given(
+        seed=seeds,
+        tasks=st.lists(st.integers(0, 2), min_size=1, max_size=6),
+        split=st.integers(0, 6),
+    )
+    @settings(max_examples=40)
+    def test_adds_over_demonstrations(self, seed, tasks, split) -> None:
+        evidence = make_evidence(
+            make_record(hypotheses=CELLS), make_samples(80, num_hypotheses=10, seed=seed)
+        )
+        demonstrations = [make_demonstration(task, f"d{k}") for k, task in enumerate(tasks)]
+        together = infer(evidence, demonstrations)
+        alone = [infer(evidence, [d]) for d in demonstrations]
+        np.testing.assert_allclose(
+            together.log_likelihood, np.sum([one.log_likelihood for one in alone], axis=0)
+        )
+        np.testing.assert_array_equal(
+            together.struck_out, np.any([one.struck_out for one in alone], axis=0)
+        )
+        parts = [demonstrations[:split], demonstrations[split:]]
+        if all(parts):
+            two = [infer(evidence, part).log_likelihood for part in parts]
+            np.testing.assert_allclose(together.log_likelihood, two[0] + two[1])
+
+    @given(seed=seeds, tasks=st.lists(st.integers(0, 2), min_size=2, max_size=7))
+    @settings(max_examples=40)
+    def test_order_of_demonstrations_does_not_matter(self, seed, tasks) -> None:
+        generator = np.random.default_rng(seed)
+        evidence = evidence_with_chances(RISING, num=100, seed=seed)
+        demonstrations = [
+            make_demonstration(task, f"d{k}", x=generator.uniform(0, 10))
+            for k, task in enumerate(tasks)
+        ]
+        shuffled = [demonstrations[k] for k in generator.permutation(len(tasks))]
+        a, b = infer(evidence, demonstrations), infer(evidence, shuffled)
+        for name in ("log_likelihood", "standard_error", "average_violation", "ranking", "rank"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        assert a.headline == b.headline
+
+    @given(seed=seeds)
+    @settings(max_examples=20)
+    def test_order_of_hypotheses_does_not_matter(self, seed) -> None:
+        generator = np.random.default_rng(seed)
+        order = generator.permutation(10)
+        samples = make_samples(80, num_hypotheses=10, seed=seed)
+        columns = unpack(samples.violations, 10)
+        a = evidence_of_columns(columns, grid(theta=(0.0, TWO_PI, 10)))
+        b = evidence_of_columns(columns[..., order], grid(theta=(0.0, TWO_PI, 10)))
+        np.testing.assert_allclose(
+            infer(a).log_likelihood[order], infer(b).log_likelihood, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            infer(a).standard_error[order], infer(b).standard_error, atol=1e-12
+        )
+
+    def test_the_error_of_one_task_grows_with_its_demonstrations(self) -> None:
+        """They share the samples: three have three times the error, not sqrt(3) times."""
+        evidence = evidence_with_chances(RISING)
+        once = infer(evidence, [make_demonstration(1)])
+        thrice = infer(evidence, [make_demonstration(1, name) for name in "abc"])
+        np.testing.assert_allclose(thrice.standard_error, 3.0 * once.standard_error)
+        np.testing.assert_allclose(thrice.log_likelihood, 3.0 * once.log_likelihood)
+        np.testing.assert_array_equal(thrice.task_counts, [0, 3, 0])
+
+    def test_errors_of_different_tasks_are_independent(self) -> None:
+        evidence = evidence_with_chances(RISING)
+        result = infer(evidence, [make_demonstration(k, f"d{k}") for k in (0, 0, 2)])
+        expected = np.sqrt(4 * evidence.standard_error[0] ** 2 + evidence.standard_error[2] ** 2)
+        np.testing.assert_allclose(result.standard_error, expected)
+        np.testing.assert_array_equal(result.task_counts, [2, 0, 1])
+
+    def test_the_standard_error_is_the_spread_over_repeated_samples(self) -> None:
+        """Two demonstrations of one task, one of another, with importance weights."""
+        record = make_record(hypotheses=CELLS)
+        demonstrations = [make_demonstration(k, f"d{n}") for n, k in enumerate([0, 0, 2])]
+        results = [
+            infer(
+                make_evidence(record, make_samples(300, num_hypotheses=10, seed=seed)),
+                demonstrations,
+            )
+            for seed in range(300)
+        ]
+        some = [2, 3, 4, 6]
+        spread = np.std([r.log_likelihood[some] for r in results], axis=0)
+        error = np.sqrt(np.mean([r.standard_error[some] ** 2 for r in results], axis=0))
+        np.testing.assert_allclose(error, spread, rtol=0.2)
+
+
+class TestRanking:
+    def test_what_is_entered_most_often_comes_first(self) -> None:
+        chances = [0.3, 0.0, 0.9, 0.1, 0.0, 0.5, 0.95, 0.2, 0.4, 0.0]
+        result = infer(evidence_with_chances(chances), [make_demonstration(0)])
+        # starts in cell 1; equal scores come in order of index
+        np.testing.assert_array_equal(result.ranking, [6, 2, 5, 8, 0, 7, 3, 4, 9])
+        np.testing.assert_array_equal(result.rank, [1, 2, 3, 4, 5, 6, 7, 8, 8])
+        np.testing.assert_array_equal(result.leaders, [6])
+
+    def test_equal_scores_come_in_order_of_index(self) -> None:
+        quarters = np.random.default_rng(0).integers(0, 4, 100)
+        columns = np.broadcast_to(np.arange(64)[:, None] < 16 * quarters, (3, 64, 100))
+        result = infer(evidence_of_columns(columns, grid(x=(0.0, 10.0, 100))))
+        np.testing.assert_array_equal(result.ranking, np.lexsort((np.arange(100), -quarters)))
+
+    def test_identical_columns_tie(self) -> None:
+        columns = np.random.default_rng(0).random((3, 500, 10)) < np.array(RISING)
+        columns[..., 8] = columns[..., 9]
+        columns[..., 4] = columns[..., 3]
+        result = infer(evidence_of_columns(columns, CELLS), [make_demonstration(0)])
+        assert set(result.leaders) >= {8, 9}
+        rank = dict(zip(result.ranking.tolist(), result.rank.tolist(), strict=True))
+        assert rank[8] == rank[9] == 1
+        assert rank[3] == rank[4]
+
+    def test_clear_differences_do_not(self) -> None:
+        result = infer(evidence_with_chances([0.1 * k for k in range(10)]))
+        np.testing.assert_array_equal(result.ranking, np.arange(9, -1, -1))
+        np.testing.assert_array_equal(result.rank, np.arange(1, 11))
+
+    def test_ties_are_within_twice_the_sum_of_the_errors(self) -> None:
+        """Each group is measured from its first, so that no chain of ties reaches far."""
+        result = infer(evidence_with_chances(np.linspace(0.4, 0.58, 10), num=500))
+        score, error = result.log_likelihood[result.ranking], result.standard_error[result.ranking]
+        assert len(set(result.rank)) > 1
+        for k, rank in enumerate(result.rank):
+            first = rank - 1
+            assert score[first] - score[k] <= 2.0 * (error[first] + error[k])
+            if rank == k + 1 and k > 0:
+                before = result.rank[k - 1] - 1
+                assert score[before] - score[k] > 2.0 * (error[before] + error[k])
+
+    def test_few_trajectories_leave_more_ties(self) -> None:
+        chances = np.linspace(0.0, 0.9, 10)
+        many, few = (infer(evidence_with_chances(chances, num=n)) for n in (10_000, 20))
+        np.testing.assert_array_equal(many.rank, np.arange(1, 11))
+        assert len(few.leaders) > 1
+
+    def test_more_demonstrations_of_one_task_do_not_undo_a_tie(self) -> None:
+        """Their errors are the same ones: the scores of a tie grow apart as fast as these."""
+        evidence = evidence_with_chances(np.linspace(0.4, 0.58, 10), num=500)
+        one, many = (infer(evidence, [make_demonstration(0)] * n) for n in (1, 50))
+        np.testing.assert_array_equal(one.ranking, many.ranking)
+        np.testing.assert_array_equal(one.rank, many.rank)
+
+    def test_the_prior_ranking_is_over_all_tasks(self) -> None:
+        evidence = make_evidence(make_record(hypotheses=CELLS), make_samples(num_hypotheses=10))
+        result = infer(evidence)
+        np.testing.assert_array_equal(result.task_counts, [1, 1, 1])
+        np.testing.assert_allclose(result.log_likelihood, -evidence.log_ratio.sum(axis=0))
+        np.testing.assert_array_equal(result.ranking, np.argsort(evidence.log_ratio.sum(axis=0)))
+        assert "(no demonstration)" in result.headline
+        assert result.to_json()["num_demonstrations"] == 0
+
+
+class TestAverageScore:
+    def test_is_the_violation_probability_averaged_over_demonstrations(self) -> None:
+        evidence = make_evidence(
+            make_record(hypotheses=CELLS), make_samples(200, num_hypotheses=10), method="plain"
+        )
+        demonstrations = [make_demonstration(k, f"d{n}") for n, k in enumerate([0, 2, 2])]
+        result = infer(evidence, demonstrations, score="average")
+        violation = unpack(evidence.samples.violations, 10).mean(axis=1)
+        expected = (violation[0] + 2.0 * violation[2]) / 3.0
+        np.testing.assert_allclose(result.average_violation, expected, atol=1e-12)
+        variance = violation * (1.0 - violation) / 200
+        error = np.sqrt(variance[0] + 4.0 * variance[2]) / 3.0
+        np.testing.assert_allclose(result.score_error, error, atol=1e-12)
+        left = ~result.struck_out
+        np.testing.assert_array_equal(result.score[left], result.average_violation[left])
+        assert np.isneginf(result.score[~left]).all()
+        np.testing.assert_array_equal(result.ranking, np.argsort(-result.score)[: left.sum()])
+
+    def test_can_rank_otherwise_than_the_likelihood(self) -> None:
+        """Once nearly always: few nats by the average, many by the likelihood."""
+        columns = np.zeros((2, 1000, 10), bool)
+        columns[0, :990, 3] = True  # 0.99 and 0
+        columns[:, :600, 7] = True  # 0.6 and 0.6
+        evidence = evidence_of_columns(columns, CELLS)
+        demonstrations = [make_demonstration(0, "a"), make_demonstration(1, "b")]
+        assert infer(evidence, demonstrations).ranking[0] == 3
+        result = infer(evidence, demonstrations, score="average")
+        assert result.ranking[0] == 7
+        assert result.to_json()["score"] == "average"
+
+    def test_an_unknown_score_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="score: expected one of likelihood, average, got 'm"):
+            infer(evidence_with_chances(RISING), score="mean")
+
+
+def everywhere(name: str = "wanderer") -> Demonstration:
+    states = np.stack([np.full(10, 0.1), np.arange(10) + 0.5], axis=-1)
+    states[0] = TASKS.start[0]
+    states = np.concatenate([states[:1], [[0.1, 0.5]], states[1:]])
+    return Demonstration(name, states, Task(TASKS.start[0], TASKS.goal[0]))
+
+
+class TestWarnings:
+    def test_there_are_none_where_nothing_is_wrong(self) -> None:
+        evidence = evidence_with_chances(RISING)
+        assert infer(evidence).warnings == ()
+        assert infer(evidence, [make_demonstration(0)]).warnings == ()
+
+    def test_no_hypothesis_is_left(self) -> None:
+        result = infer(evidence_with_chances(RISING), [make_demonstration(1, "b"), everywhere()])
+        assert result.struck_out.all()
+        assert len(result.ranking) == len(result.rank) == len(result.leaders) == 0
+        assert result.headline == (
+            "No hypothesis is left: every one is entered by a demonstration."
+        )
+        (warning,) = result.warnings
+        assert warning.startswith("no hypothesis is left: each of the 10 is entered by at least")
+        assert "(wanderer alone enters 10)" in warning
+        data = json.loads(json.dumps(result.to_json(), allow_nan=False))
+        assert data["ranking"] == []
+        assert data["num_struck_out"] == 10
+        assert result.table().count("\n") == 0  # the header alone
+
+    def low_evidence(self, task: int) -> Evidence:
+        samples = make_samples(1000, num_hypotheses=10)
+        samples.total_reward[task, 0] += 40.0  # with beta 0.5 it outweighs the rest
+        return make_evidence(make_record(hypotheses=CELLS), samples)
+
+    def test_low_effective_sample_size(self) -> None:
+        evidence = self.low_evidence(2)
+        assert evidence.effective_sample_size[2] < 2
+        demonstrations = [make_demonstration(0, "a"), make_demonstration(2, "b")]
+        warning, *_ = infer(evidence, demonstrations).warnings
+        assert warning.startswith(
+            "not to be trusted: the effective sample size is too low for 1 of"
+        )
+        assert "1 of 2 tasks (worst: b, 1 of 1000)" in warning
+        assert infer(evidence, demonstrations[:1]).warnings == ()
+        prior, *_ = infer(evidence).warnings
+        assert "1 of 3 tasks (worst: task 2, 1 of 1000)" in prior
+
+    def test_plain_weights_do_not_hide_it(self) -> None:
+        samples = make_samples(1000, num_hypotheses=10)
+        samples.total_reward[0, 0] += 40.0
+        evidence = make_evidence(make_record(hypotheses=CELLS), samples, method="plain")
+        warning, *_ = infer(evidence, [make_demonstration(0, "a")]).warnings
+        assert "not to be trusted" in warning
+
+    @pytest.mark.parametrize(("ess", "low"), [(99.0, True), (101.0, False)])
+    def test_few_effective_samples_are_too_few(self, ess: float, low: bool) -> None:
+        evidence = evidence_with_chances(RISING)
+        summary = evidence.summary._replace(effective_sample_size=np.full(3, ess))
+        object.__setattr__(evidence, "summary", summary)
+        assert bool(infer(evidence).warnings) == low
+
+    @pytest.mark.parametrize(("ess", "low"), [(1990.0, True), (2010.0, False)])
+    def test_a_small_share_of_many_is_too_few(self, ess: float, low: bool) -> None:
+        evidence = evidence_with_chances(RISING)
+        summary = evidence.summary._replace(effective_sample_size=np.full(3, ess))
+        object.__setattr__(evidence, "summary", summary)
+        object.__setattr__(evidence, "num_trajectories", 100_000)
+        assert bool(infer(evidence).warnings) == low
+
+    def test_a_floored_leader(self) -> None:
+        chances = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.2, 0.0]
+        result = infer(evidence_with_chances(chances), [make_demonstration(0)])
+        np.testing.assert_array_equal(result.leaders, [6])
+        assert result.log_likelihood[6] == pytest.approx(math.log(1000))
+        (warning,) = result.warnings
+        assert warning.startswith("hypothesis 6 is entered by almost every nominal trajectory")
+        assert "a lower bound, at most log N = 6.9 nats a demonstration" in warning
+
+    def test_a_floored_hypothesis_that_is_struck_out_is_no_matter(self) -> None:
+        chances = [0.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0, 0.2, 0.0]
+        assert infer(evidence_with_chances(chances), [make_demonstration(0)]).warnings == ()
+
+
+class TestRefused:
+    def test_a_demonstration_of_an_unknown_task(self) -> None:
+        stranger = Demonstration(
+            "demo_17", np.array([[0.5, 1.0], [0.5, 1.1]]), Task(np.array([0.5, 1.0]), TASKS.goal[0])
+        )
+        with pytest.raises(
+            ValueError, match=r"demo_17: no evidence for start \(0\.5, 1\) and goal"
+        ):
+            infer(evidence_with_chances(RISING), [make_demonstration(0), stranger])
+
+    def test_nan_is_named_with_its_row(self) -> None:
+        broken = make_demonstration(1, "demo_5", num_states=30)
+        broken.states[16, 1] = np.nan
+        with pytest.raises(ValueError, match="demo_5: row 17, column x: expected a finite number"):
+            infer(evidence_with_chances(RISING), [make_demonstration(0), broken])
+
+    def test_states_of_another_problem(self) -> None:
+        other = Demonstration("demo_3", np.zeros((5, 3)), Task(np.zeros(3), np.zeros(3)))
+        message = r"demo_3: expected states of shape \(any, 2\), got \(5, 3\)"
+        with pytest.raises(ValueError, match=message):
+            infer(evidence_with_chances(RISING), [other])
+
+    def test_a_step_of_half_a_turn(self) -> None:
+        states = np.array([[0.1, 1.0], [0.1 + math.pi, 1.0]])
+        jump = Demonstration("demo_4", states, Task(states[0], TASKS.goal[0]))
+        with pytest.raises(ValueError, match=r"demo_4: row 2, column theta: 3\.142 rad from"):
+            infer(evidence_with_chances(RISING), [jump])
+
+
+class TestOutput:
+    @pytest.fixture
+    def result(self) -> Inference:
+        evidence = evidence_with_chances([0.1 * k for k in range(10)])
+        demonstrations = [make_demonstration(0, "a", x=3.5), make_demonstration(2, "b")]
+        return infer(evidence, demonstrations)
+
+    def test_json_holds_the_ranking_best_first(self, result: Inference) -> None:
+        data = json.loads(json.dumps(result.to_json(), allow_nan=False))
+        assert [entry["index"] for entry in data["ranking"]] == [8, 7, 6, 5, 4, 2, 0]
+        for entry in data["ranking"]:
+            index = entry["index"]
+            assert {"index", "name", "log_likelihood", "standard_error"} <= entry.keys()
+            assert entry["name"] == f"x [{index}, {index + 1})"
+            assert entry["log_likelihood"] == result.log_likelihood[index]
+            assert entry["standard_error"] == result.standard_error[index] > 0
+            assert entry["average_violation"] == pytest.approx(0.1 * index)
+        assert [entry["rank"] for entry in data["ranking"]] == [1, 2, 3, 4, 5, 6, 7]
+        assert data["num_struck_out"] == 3
+        assert data["num_demonstrations"] == 2
+        assert data["warnings"] == []
+        assert data["score"] == "likelihood"
+        assert data["problem"] == result.evidence.problem.summary
+
+    def test_json_holds_diagnostics_of_the_tasks_used(self, result: Inference) -> None:
+        first, last = result.to_json()["diagnostics"]
+        assert (first["task"], last["task"]) == (0, 2)
+        assert (first["demonstrations"], last["demonstrations"]) == (["a"], ["b"])
+        assert last["start"] == TASKS.start[2].tolist()
+        assert last["goal"] == TASKS.goal[2].tolist()
+        assert last["effective_sample_size"] == pytest.approx(1000.0)
+        assert last["num_trajectories"] == 1000
+        assert last["method"] == "plain"
+        assert last["kl"] == pytest.approx(0.0, abs=1e-9)
+        assert last["log_partition"] == pytest.approx(-5 * math.log(3))
+
+    def test_json_is_the_same_after_a_round_trip_of_the_evidence(self, result, tmp_path) -> None:
+        result.evidence.save(tmp_path / "a.evidence")
+        again = infer(Evidence.load(tmp_path / "a.evidence"), result.demonstrations)
+        assert json.dumps(again.to_json()) == json.dumps(result.to_json())
+
+    def test_headline_names_the_winner(self, result: Inference) -> None:
+        assert result.headline == (
+            "Most likely constraint 8: x [8, 9), 3.22 +- 0.09 nats against no constraint "
+            "(2 demonstrations)"
+        )
+
+    def test_headline_of_a_tie(self) -> None:
+        result = infer(evidence_with_chances([0.0] * 10), [make_demonstration(0)])
+        assert result.headline.startswith("9 hypotheses are tied, among them 0: x [0, 1), 0.00 +-")
+
+    def test_table(self, result: Inference) -> None:
+        lines = result.table(3).splitlines()
+        assert lines[0].split() == ["rank", "index", "nats", "+-", "violated", "hypothesis"]
+        assert lines[1].split() == ["1", "8", "3.22", "0.09", "0.800", "x", "[8,", "9)"]
+        assert [line.split()[:2] for line in lines[1:4]] == [["1", "8"], ["2", "7"], ["3", "6"]]
+        assert lines[4].strip() == "... 4 more"
+        assert len(result.table(7).splitlines()) == 8
+
+    def test_table_marks_ties(self) -> None:
+        result = infer(evidence_with_chances([0.5, 0.5, 0.0, 0.0, *[0.9] * 6]))
+        ranks = [line.split()[0] for line in result.table().splitlines()[1:]]
+        assert ranks == ["1="] * 6 + ["7="] * 2 + ["9="] * 2
+
+    def test_names(self, result: Inference) -> None:
+        assert result.hypothesis_name(8) == "x [8, 9)"
+        assert [result.task_name(k) for k in range(3)] == ["a", "task 1", "b"]

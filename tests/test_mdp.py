@@ -1,0 +1,380 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import Cart, short_cart, short_pendulum
+
+from swerve import MDP, Box, Pendulum, Predicate, Problem, grid, rk4
+from swerve.hypotheses import HypothesisSet
+from swerve.mdp import check_mdp
+from swerve.problem import ProblemRecord
+from swerve.space import TWO_PI
+
+CELLS = grid(x=(-1.5, 1.5, 6), v=(-2.0, 2.0, 4))
+ANGLES = grid(theta=(0.0, TWO_PI, 4))
+
+
+class Bare(MDP):
+    """Only what has to be there."""
+
+    push: float = 1.0
+    state_names = ("theta", "speed")
+    action_names = ("a", "b")
+    actions = jnp.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    dt = 0.5
+    num_steps = 4
+    bounds = ((0.0, TWO_PI), (-1.0, 3.0))
+    angles = ("theta",)
+
+    def dynamics(self, state, action):
+        return state + self.push * action
+
+    def reward(self, state, action, next_state, goal):
+        return -jnp.sum(action)
+
+
+class Height(Bare):
+    """Its goal is a number that is no state."""
+
+    @property
+    def goal_names(self) -> tuple[str, ...]:
+        return ("height",)
+
+    def goal_of(self, states):
+        return states[-1:, 1]
+
+
+class TestDefaults:
+    def test_episodes_go_on_to_the_horizon_and_end_without_reward(self) -> None:
+        mdp, state = Bare(), jnp.array([1.0, 2.0])
+        assert mdp.terminated(state, state) == np.False_
+        assert mdp.terminal_reward(state, state) == 0.0
+
+    def test_the_goal_is_the_last_state(self) -> None:
+        mdp, states = Bare(), np.arange(6.0).reshape(3, 2)
+        assert mdp.goal_names == mdp.state_names
+        np.testing.assert_array_equal(mdp.goal_of(states), [4.0, 5.0])
+        np.testing.assert_array_equal(Height().goal_of(states), [5.0])
+
+    def test_space(self) -> None:
+        space = Bare().space
+        assert (space.names, space.angles) == (("theta", "speed"), ("theta",))
+        np.testing.assert_allclose(space.bounds, [[0.0, TWO_PI], [-1.0, 3.0]])
+        assert Bare().num_actions == 3
+        assert Cart().space.angles == ()
+
+    def test_features_are_of_unit_scale_and_do_not_mind_whole_turns(self) -> None:
+        mdp, goal = Bare(), jnp.array([2.0, 1.0])
+        state = jnp.array([0.3, 2.0])
+        features = mdp.features(state, jnp.array(1), goal)
+        time = [0.75, math.sqrt(0.75)]
+        expected = [
+            *[0.5, math.sin(0.3), math.cos(0.3)],
+            *time,
+            *[0.0, math.sin(2.0), math.cos(2.0)],
+            *[1.7 / math.pi, -0.5],
+        ]
+        np.testing.assert_allclose(features, expected, atol=1e-6)
+        turned = mdp.features(state + jnp.array([TWO_PI, 0.0]), jnp.array(1), goal)
+        np.testing.assert_allclose(turned, expected, atol=1e-5)
+
+    def test_features_show_goals_that_are_no_states_as_they_are(self) -> None:
+        features = Height().features(jnp.array([0.3, 2.0]), jnp.array(0), jnp.array([7.5]))
+        expected = [0.5, math.sin(0.3), math.cos(0.3), 1.0, 1.0, 7.5]
+        np.testing.assert_allclose(features, expected, atol=1e-6)
+
+    def test_tasks_and_states_fill_the_bounds(self) -> None:
+        mdp = Bare()
+        keys = jax.random.split(jax.random.key(0), 2000)
+        task = jax.vmap(mdp.sample_task)(keys)
+        low, high = mdp.space.bounds.T
+        for values in map(np.asarray, (*task, jax.vmap(mdp.sample_state)(keys))):
+            assert values.shape == (2000, 2)
+            assert ((values >= low) & (values <= high)).all()
+            # the mean of a uniform distribution, to 5 standard errors
+            off = (values.mean(axis=0) - (low + high) / 2) / (high - low)
+            assert np.abs(off).max() < 5 / math.sqrt(12 * 2000)
+            np.testing.assert_allclose(values.std(axis=0), (high - low) / math.sqrt(12), rtol=0.1)
+        correlation = np.corrcoef(np.hstack(task), rowvar=False) - np.eye(4)
+        assert np.abs(correlation).max() < 0.12
+
+    def test_tasks_with_goals_that_are_no_states_have_to_be_defined(self) -> None:
+        message = r"Height has goals \('height',\) that are not states: define sample_task"
+        with pytest.raises(ValueError, match=message):
+            Height().sample_task(jax.random.key(0))
+        assert Height().sample_state(jax.random.key(0)).shape == (2,)
+
+    def test_dynamics_and_reward_have_to_be_defined(self) -> None:
+        class Still(MDP):
+            state_names = ("x",)
+            action_names = ("u",)
+            actions = jnp.zeros((1, 1))
+            dt = 1.0
+            num_steps = 1
+            bounds = ((0.0, 1.0),)
+
+        kind: Any = Still
+        with pytest.raises(TypeError, match="abstract"):
+            kind()
+
+
+class TestRk4:
+    def test_is_the_taylor_series_to_fourth_order_on_linear_systems(self) -> None:
+        matrix = np.array([[0.1, 1.0], [-2.0, -0.3]])
+        h, state = 0.2, np.array([0.7, -0.4])
+        series = sum(np.linalg.matrix_power(h * matrix, k) / math.factorial(k) for k in range(5))
+        found = rk4(lambda s: jnp.asarray(matrix, jnp.float32) @ s, jnp.asarray(state), h)
+        np.testing.assert_allclose(found, series @ state, rtol=2e-6)
+
+    def test_follows_an_oscillator(self) -> None:
+        """s'' = -s from (1, 0): (cos t, -sin t)."""
+        state = jnp.array([1.0, 0.0])
+        for _ in range(100):
+            state = rk4(lambda s: jnp.stack([s[1], -s[0]]), state, 0.05)
+        np.testing.assert_allclose(state, [math.cos(5.0), -math.sin(5.0)], atol=1e-5)
+
+    def test_the_error_falls_with_the_fourth_power_of_the_step(self) -> None:
+        """s' = s cos t with t' = 1: s = exp(sin t); in float64, so without JAX."""
+
+        def error(num: int) -> float:
+            state: Any = np.array([1.0, 0.0])
+            for _ in range(num):
+                state = rk4(lambda s: np.array([s[0] * math.cos(s[1]), 1.0]), state, 2.0 / num)
+            return abs(state[0] - math.exp(math.sin(2.0)))
+
+        assert math.log2(error(20) / error(40)) == pytest.approx(4.0, abs=0.25)
+        assert error(40) < 1e-5
+
+    def test_the_pendulum_conserves_its_energy(self) -> None:
+        mdp = Pendulum()
+        energy = lambda s: 0.5 * float(s[1]) ** 2 + math.cos(float(s[0]))  # noqa: E731
+        start = state = jnp.array([2.0, 0.5])
+        step = jax.jit(mdp.dynamics)
+        for _ in range(300):
+            state = step(state, jnp.zeros(1))
+        assert energy(state) == pytest.approx(energy(start), abs=1e-4)
+        assert abs(float(state[0]) - 2.0) > 0.1
+
+
+def nan(*_: Any) -> Any:
+    return jnp.array(jnp.nan)
+
+
+class TestCheck:
+    def test_accepts_what_is_right(self) -> None:
+        for mdp in (Bare(), Height(), Cart(), Pendulum()):
+            check_mdp(mdp)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"actions": jnp.zeros(3)}, r"actions: expected shape \[A, 2\], .*, got \(3,\)"),
+            ({"actions": jnp.zeros((3, 1))}, r"actions: .*action_names \('a', 'b'\), got \(3, 1\)"),
+            ({"actions": jnp.zeros((0, 2))}, r"actions: expected shape \[A, 2\], .*, got \(0, 2\)"),
+            ({"actions": jnp.array([[0.0, jnp.inf]])}, r"actions: .* finite .*, got \[\[0.0, inf"),
+            ({"dt": 0.0}, "dt: expected a positive number of seconds, got 0.0"),
+            ({"dt": math.nan}, "dt: expected a positive number of seconds, got nan"),
+            ({"num_steps": 0}, "num_steps: expected at least 1, got 0"),
+            (
+                {"dynamics": lambda self, state, action: state[:1]},
+                r"dynamics\(state, action\): expected shape \(2,\), got \(1,\)",
+            ),
+            (
+                {"dynamics": lambda self, state, action: jnp.log(-jnp.abs(state))},
+                r"dynamics\(state, action\): expected finite .* at the centre of the bounds, state",
+            ),
+            (
+                {"reward": lambda self, state, action, next_state, goal: action},
+                r"reward\(state, action, next_state, goal\): expected shape \(\), got \(2,\)",
+            ),
+            ({"reward": nan}, r"reward\(.*\): expected finite numbers, got nan"),
+            ({"terminal_reward": nan}, r"terminal_reward\(state, goal\): expected finite numbers"),
+            (
+                {"terminated": lambda self, state, goal: state > goal},
+                r"terminated\(state, goal\): expected shape \(\), got \(2,\)",
+            ),
+        ],
+    )
+    def test_names_the_class_and_what_is_wrong(self, changes: dict, message: str) -> None:
+        wrong = type("Wrong", (Bare,), changes)()
+        with pytest.raises(ValueError, match=f"^Wrong.{message}"):
+            check_mdp(wrong)
+        with pytest.raises(ValueError, match=f"^Wrong.{message}"):
+            Problem(wrong, ANGLES)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"bounds": ((0.0, 1.0),)}, r"bounds: expected shape \(2, 2\)"),
+            ({"bounds": ((0.0, 1.0), (1.0, 1.0))}, "bounds: expected finite low < high"),
+            ({"angles": ("phi",)}, "no state named 'phi'; the states are theta, speed"),
+        ],
+    )
+    def test_a_space_that_is_wrong_is_refused(self, changes: dict, message: str) -> None:
+        with pytest.raises(ValueError, match=message):
+            check_mdp(type("Wrong", (Bare,), changes)())
+
+    def test_a_goal_that_is_no_state_has_its_own_length(self) -> None:
+        class Goals(Height):
+            @property
+            def goal_names(self) -> tuple[str, ...]:
+                return ("p", "q", "r")
+
+            def reward(self, state, action, next_state, goal):
+                return goal[2] - goal[0]
+
+        check_mdp(Goals())
+
+
+class TestProblem:
+    def test_a_list_of_constraints_becomes_a_set(self) -> None:
+        boxes = [Box(x=(0.0, 1.0)), Box(v=(0.0, 1.0))]
+        problem = Problem(Cart(), boxes, known=[boxes[0]])
+        assert isinstance(problem.hypotheses, HypothesisSet)
+        assert [problem.hypotheses.constraint(k) for k in range(2)] == boxes
+        assert problem.known == (boxes[0],)
+
+    @pytest.mark.parametrize("beta", [-0.1, math.inf, math.nan])
+    def test_beta_has_to_be_a_number_from_0(self, beta: float) -> None:
+        with pytest.raises(ValueError, match=f"beta: expected a number >= 0, got {beta}"):
+            Problem(Cart(), CELLS, beta=beta)
+        assert Problem(Cart(), CELLS, beta=0).beta == 0
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ({"mdp": Cart}, "mdp: expected a swerve.MDP, got <class"),
+            ({"mdp": "pendulum"}, "mdp: expected a swerve.MDP, got 'pendulum'"),
+            (
+                {"measure": "flat"},
+                r"measure: expected one of \('uniform', 'counting'\), got 'flat'",
+            ),
+            ({"hypotheses": []}, "hypotheses: expected at least one constraint"),
+            ({"hypotheses": ["wall"]}, r"hypotheses\[0\]: expected a Constraint, got 'wall'"),
+            ({"hypotheses": ANGLES}, "no state named 'theta'; the states are x, v"),
+            ({"hypotheses": [Box(y=(0, 1))]}, "no state named 'y'; the states are x, v"),
+            ({"known": [Box(x=(0, 1)), 7]}, r"known\[1\]: expected a Constraint, got 7"),
+            ({"known": [Box(y=(0, 1))]}, "no state named 'y'; the states are x, v"),
+        ],
+    )
+    def test_what_does_not_fit_is_refused(self, arguments: dict[str, Any], message: str) -> None:
+        with pytest.raises(ValueError, match=message):
+            Problem(**{"mdp": Cart(), "hypotheses": CELLS} | arguments)
+
+    def test_an_angle_may_not_span_more_than_a_turn(self) -> None:
+        with pytest.raises(ValueError, match="2 pi at most"):
+            Problem(Bare(), grid(theta=(0.0, 7.0, 3)))
+
+
+class Sail(Cart):
+    """Every way in which an MDP may hold a parameter."""
+
+    wind: float | jax.Array = 1.0
+    crew: int = eqx.field(default=3, static=True)
+    rig: str = eqx.field(default="sloop", static=True)
+    current: jax.Array = eqx.field(default_factory=lambda: jnp.zeros(3))
+    hulls: tuple = (1.0, 2.0)
+
+
+def pushed(middle: float) -> MDP:
+    """Carts of one name whose code is not the same."""
+
+    class Pushed(Cart):
+        @property
+        def actions(self):
+            return jnp.array([[-1.0], [middle], [1.0]])
+
+    return Pushed()
+
+
+def predicate(name: str, num_points: int = 8) -> Predicate:
+    return Predicate(name, lambda states: states[..., 0] > 1.0, num_points)
+
+
+DIFFERENT = {
+    "same": Problem(Sail(), CELLS),
+    "wind": Problem(Sail(wind=1.0 + 1e-15), CELLS),
+    "wind as an array": Problem(Sail(wind=jnp.array(2.0)), CELLS),
+    "crew": Problem(Sail(crew=4), CELLS),
+    "rig": Problem(Sail(rig="cat"), CELLS),
+    "current": Problem(Sail(current=jnp.array([0.0, 1e-7, 0.0])), CELLS),
+    "shape of current": Problem(Sail(current=jnp.zeros((3, 1))), CELLS),
+    "hulls": Problem(Sail(hulls=(1.0, 3.0)), CELLS),
+    "dt": Problem(Sail(dt=0.25), CELLS),
+    "num_steps": Problem(Sail(num_steps=8), CELLS),
+    "class": Problem(Cart(), CELLS),
+    "actions": Problem(pushed(0.5), CELLS),
+    "other actions": Problem(pushed(0.25), CELLS),
+    "beta": Problem(Sail(), CELLS, beta=1.0 + 1e-15),
+    "measure": Problem(Sail(), CELLS, measure="counting"),
+    "between_states": Problem(Sail(), CELLS, between_states=False),
+    "hypotheses": Problem(Sail(), grid(x=(-1.5, 1.5, 6), v=(-2.0, 2.0, 5))),
+    "order of axes": Problem(Sail(), grid(v=(-2.0, 2.0, 4), x=(-1.5, 1.5, 6))),
+    "boxes": Problem(Sail(), [CELLS.constraint(k) for k in range(len(CELLS))]),
+    "predicate": Problem(Sail(), [predicate("p")]),
+    "another predicate": Problem(Sail(), [predicate("q")]),
+    "points of a predicate": Problem(Sail(), [predicate("p", 9)]),
+    "known": Problem(Sail(), CELLS, known=[Box(x=(0.0, 0.1))]),
+    "another known": Problem(Sail(), CELLS, known=[Box(x=(0.0, 0.2))]),
+    "two known": Problem(Sail(), CELLS, known=[Box(x=(0.0, 0.1)), Box(x=(0.0, 0.2))]),
+}
+
+
+class TestRecord:
+    @pytest.mark.parametrize(
+        "problem",
+        [
+            Problem(Pendulum(max_torque=10.0), ANGLES, beta=0.67),
+            Problem(Height(), [Box(theta=(6.0, 7.0))], known=[Box(speed=(2.5, 3.0))]),
+            short_cart(measure="counting", between_states=False, known=[predicate("p")]),
+        ],
+    )
+    def test_round_trip(self, problem: Problem) -> None:
+        record = problem.record
+        text = json.dumps(record.to_json(), allow_nan=False)
+        back = ProblemRecord.from_json(json.loads(text))
+        assert json.dumps(back.to_json()) == text
+        assert back.fingerprint == record.fingerprint
+        assert back.summary == record.summary
+        for field in dataclasses.fields(record):
+            value, again = getattr(record, field.name), getattr(back, field.name)
+            assert type(again) is type(value)
+            if isinstance(value, int | float | str | bool):
+                assert again == value
+        assert back.goal_names == problem.mdp.goal_names
+        assert back.action_names == problem.mdp.action_names
+
+    def test_fields(self) -> None:
+        record = Problem(Height(push=2.0), ANGLES, beta=2).record
+        assert record.name == "Height(push=2.0)"
+        assert record.goal_names == ("height",)
+        assert not record.goal_is_last_state
+        assert Problem(Bare(), ANGLES).record.goal_is_last_state
+        assert (record.num_actions, record.num_steps, record.dt) == (3, 4, 0.5)
+        assert (record.beta, record.measure, record.between_states) == (2.0, "uniform", True)
+        assert record.summary == (
+            "Height(push=2.0), beta 2, uniform measure, 4 hypotheses judged at states and segments "
+            "between them"
+        )
+        walled = Problem(Bare(), ANGLES, known=[Box(speed=(2.0, 3.0))], between_states=False)
+        assert walled.record.summary.endswith("judged at states alone, known: speed [2, 3)")
+
+    def test_a_fingerprint_is_the_same_for_the_same_problem(self) -> None:
+        again = Problem(Sail(), grid(x=(-1.5, 1.5, 6), v=(-2, 2, 4)), beta=1)
+        assert again.record.fingerprint == DIFFERENT["same"].record.fingerprint
+        assert short_pendulum().record.fingerprint == short_pendulum().record.fingerprint
+
+    def test_a_fingerprint_depends_on_everything(self) -> None:
+        prints = {name: problem.record.fingerprint for name, problem in DIFFERENT.items()}
+        same: dict[str, list[str]] = {}
+        for name, fingerprint in prints.items():
+            same.setdefault(fingerprint, []).append(name)
+        assert [names for names in same.values() if len(names) > 1] == []
