@@ -61,15 +61,18 @@ def start_up() -> dict[str, float]:
 
 
 def stored_inference() -> dict[str, float]:
-    """Time `swerve infer` on stored evidence of the bundled demonstrations, process included [s]."""
+    """Time `swerve infer` on stored evidence of the bundled demonstrations, process included."""
     files = sorted(FOLDER.glob("demo_*.csv"))
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "swerve", "infer", PROBLEM, *map(str, files)]
         command += ["--tasks", str(FOLDER / "tasks.csv"), "--work", folder, "--json"]
         solver = ["--solver", "grid?num_points=40"]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "check": True}
-        subprocess.run([*command, *solver, "--samples", "10000"], **quiet)
-        best = seconds(lambda: subprocess.run(command, **quiet))
+
+        def infer(*more: str) -> None:
+            subprocess.run([*command, *more], capture_output=True, check=True)
+
+        infer(*solver, "--samples", "10000")
+        best = seconds(infer)
     return {f"swerve infer, {len(files)} stored tasks [s]": best}
 
 

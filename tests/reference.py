@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -62,11 +62,12 @@ def enumerate_exactly(problem: Problem, start: np.ndarray, goal: np.ndarray) -> 
     return Exact(float(largest + np.log(weight.sum())), weight @ entered / weight.sum())
 
 
-def short_pendulum(**settings) -> Problem:
+def short_pendulum(**settings: Any) -> Problem:
     """A pendulum that goes far in its 6 steps of 0.4 s: several cells are entered half the time."""
     mdp = Pendulum(max_torque=3.0, dt=0.4, num_steps=6)
     cells = grid(theta=(0.0, 2.0 * math.pi, 6), omega=(-4.0, 4.0, 5))
-    return Problem(mdp, cells, **({"beta": 0.05} | settings))
+    settings = {"beta": 0.05} | settings
+    return Problem(mdp, cells, **settings)
 
 
 PENDULUM_TASK = Task(np.array([2.5, 0.5]), np.array([4.0, -0.5]))
@@ -100,10 +101,10 @@ class Cart(MDP):
         return jnp.abs(state[0]) > 1.5
 
 
-def short_cart(**settings) -> Problem:
+def short_cart(**settings: Any) -> Problem:
     """The cart with hypotheses over position and speed."""
     cells = grid(x=(-1.5, 1.5, 6), v=(-2.0, 2.0, 4))
-    return Problem(Cart(), cells, **({"beta": 1.0} | settings))
+    return Problem(Cart(), cells, **settings)
 
 
 CART_TASK = Task(np.array([0.6, 0.3]), np.array([-0.5, 0.0]))

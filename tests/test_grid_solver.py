@@ -17,7 +17,7 @@ from reference import (
 )
 
 from swerve import MDP, Box, Grid, Pendulum, Predicate, Problem, Task, grid, learn, sample
-from swerve.solvers.grid import GridNominal
+from swerve.solvers.grid import GridNominal, GridPolicy
 
 STANDARD_ERRORS = 4.5
 
@@ -79,6 +79,7 @@ def test_soft_value_at_the_start_is_log_partition() -> None:
     exact = enumerate_exactly(problem, PENDULUM_TASK.start, PENDULUM_TASK.goal)
     nominal = learn(problem, "grid")
     policy = next(nominal.policies(PENDULUM_TASK.goal[None]))
+    assert isinstance(policy, GridPolicy)
     value = policy.soft_value(
         jnp.asarray(PENDULUM_TASK.start, jnp.float32), jnp.int32(0), jnp.asarray(PENDULUM_TASK.goal)
     )
@@ -164,5 +165,5 @@ def test_rewards_that_are_not_finite_are_named() -> None:
 
     problem = Problem(Broken(num_steps=3), grid(theta=(0.0, 1.0, 2)), beta=1.0)
     nominal = learn(problem, Grid(num_points=12))
-    with pytest.raises(ValueError, match="Broken.terminal_reward is not finite somewhere"):
+    with pytest.raises(ValueError, match=r"Broken.terminal_reward is not finite somewhere"):
         next(nominal.policies(np.zeros((1, 2))))

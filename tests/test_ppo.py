@@ -54,7 +54,8 @@ def test_advantages_are_discounted_sums_of_residuals() -> None:
                 if ended[t, lane]:
                     break
                 weight *= 0.7
-    result = losses.advantages(*(jnp.asarray(x) for x in (reward, value, later, ended)), 0.7)
+    arrays = map(jnp.asarray, (reward, value, later, ended))
+    result = losses.advantages(*arrays, gae_lambda=0.7)
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-5)
 
 

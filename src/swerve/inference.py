@@ -127,23 +127,10 @@ class Inference:
 
     @property
     def headline(self) -> str:
-        """The answer in one sentence."""
-        if not len(self.ranking):
-            return "No hypothesis is left: every one is entered by a demonstration."
-        best = self.ranking[0]
-        what = f"{best}: {self.hypothesis_name(best)}"
-        basis = (
-            f"{len(self.demonstrations)} demonstrations"
-            if self.demonstrations
-            else "no demonstration"
-        )
-        value = (
-            f"{self.log_likelihood[best]:.2f} +- {self.standard_error[best]:.2f} nats against no "
-            f"constraint ({basis})"
-        )
-        if len(self.leaders) > 1:
-            return f"{len(self.leaders)} hypotheses are tied, among them {what}, {value}"
-        return f"Most likely constraint {what}, {value}"
+        """The answer in a plain sentence."""
+        from swerve import wording
+
+        return wording.sentence(self)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:

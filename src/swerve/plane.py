@@ -131,10 +131,10 @@ class Plane:
         if len(parts) > MAX_IMAGES:  # of a raster
             box = np.stack([parts[..., 0].min(axis=0), parts[..., 1].max(axis=0)], axis=1)
         middle, half = box.mean(axis=1), np.diff(box)[:, 0] / 2
-        places = middle + DIRECTIONS * (half + 1.3 * label)
+        places = np.clip(middle + DIRECTIONS * (half + 1.3 * label), label, 1 - label)
         points = (busy - low.T) / extent.T
         cost = (np.abs(points[:, None] - places) < label).all(axis=2).sum(axis=0).astype(float)
-        cost += 1e9 * (np.abs(places - 0.5) > 0.5 - label).any(axis=1)
+        cost += 1e9 * (np.abs(places - middle) < half + label).all(axis=1)
         best = places[cost.argmin()]
         return np.stack([best, np.clip(best, middle - half, middle + half)])
 

@@ -35,10 +35,12 @@ from swerve.hypotheses import GridHypotheses
 from swerve.inference import Inference
 from swerve.plane import Plane
 
-NUM_LINES = 150  # nominal trajectories drawn, of all tasks together
+NUM_LINES = 100  # nominal trajectories drawn, of all tasks together
 NUM_BARS = 12
 NUM_OUTLINED = 100  # hypotheses of the first rank that are outlined
 MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
+MAX_WARNING = 300  # characters of a warning; the report has all of them
+WIDTH = 8.4  # in
 NARROW = 6.0  # in; below it the colour bar goes under the picture
 CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
 DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
@@ -62,7 +64,11 @@ COLOURS = _colour_map()
 
 
 def plot_inference(
-    inference: Inference, path: str | Path | None = None, *, width: float = 8.4
+    inference: Inference,
+    path: str | Path | None = None,
+    *,
+    width: float = WIDTH,
+    has_header: bool = True,
 ) -> Figure:
     """Draw hypotheses shaded by score, nominal trajectories and demonstrations.
 
@@ -70,14 +76,13 @@ def plot_inference(
       inference: what to draw.
       path: a file to write, whose suffix tells the format, or None.
       width: of the picture [in]; text keeps its size, and below 6 in the layout is for a phone.
+      has_header: whether to write the answer, the warnings and the settings above it.
 
     Raises:
       ValueError: if matplotlib knows no such format.
     """
     is_wide = width >= NARROW
-    header = [(wording.title(inference), 11.5, INK)]
-    header += [(f"Warning: {text}.", 8.0, ALARM) for text in inference.warnings]
-    header.append((wording.settings(inference), 7.5, FAINT))
+    header = _header(inference) if has_header else []
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
     nominal = _nominal_paths(inference)
     plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal])
@@ -96,7 +101,7 @@ def plot_inference(
 
 
 def plot_ranking(
-    inference: Inference, path: str | Path | None = None, *, width: float = 8.4
+    inference: Inference, path: str | Path | None = None, *, width: float = WIDTH
 ) -> Figure:
     """Draw the first hypotheses of the ranking as bars with their standard errors.
 
@@ -109,8 +114,8 @@ def plot_ranking(
       ValueError: if matplotlib knows no such format.
     """
     shown, total = inference.ranking[:NUM_BARS], len(inference.ranking)
-    title = f"The first {len(shown)} of {total} hypotheses that are left" if total else ""
-    header = [(title or wording.title(inference), 11.5, INK)]
+    title = f"First {len(shown)} of {wording.counted(total, wording.noun(inference))} left"
+    header = [(title if total else wording.title(inference), 11.5, INK)]
     figure, axes = _figure(header, width, 0.42 * len(shown) + 0.8, width)
     if not total:
         axes.set_axis_off()
@@ -128,13 +133,22 @@ def plot_ranking(
         text = f"{wording.rank(inference, row)}   {text}{tied}"
         axes.text(0.005 * reach, row - 0.25, text, va="bottom", **style)
         end = score[row] + error[row] + 0.015 * reach
-        axes.text(end, row, wording.score(inference, index), va="center", **style)
-    axes.set(xlim=(0, 1.25 * reach), ylim=(len(shown) - 0.6, -0.75), yticks=[])
+        axes.text(end, row, wording.measured(score[row], error[row]), va="center", **style)
+    axes.set(xlim=(0, reach / (1 - 0.95 / width)), ylim=(len(shown) - 0.6, -0.75), yticks=[])
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
     label = f"{wording.score_label(inference)}; whiskers: standard error"
     axes.set_xlabel(_wrapped(label, width - 0.5, 8.5), fontsize=8.5)
     return _written(figure, path)
+
+
+def _header(inference: Inference) -> list[tuple[str, float, str]]:
+    warnings = [f"Warning: {wording.cut(text, MAX_WARNING)}." for text in inference.warnings]
+    return [
+        (wording.title(inference), 11.5, INK),
+        *((text, 8.0, ALARM) for text in warnings),
+        (wording.settings(inference), 7.5, FAINT),
+    ]
 
 
 def _size(plane: Plane, width: float) -> tuple[float, float]:
@@ -188,7 +202,7 @@ def _draw_list(axes: Axes, inference: Inference, plane: Plane) -> tuple[np.ndarr
         parts.append(np.insert(rectangles, 4, inference.score[index], axis=1))
     drawn = np.concatenate(parts)
     left = drawn[np.isfinite(drawn[:, 4])]
-    shades = PolyCollection(left[:, CORNERS], cmap=COLOURS, norm=_norm(inference))
+    shades = PolyCollection(list(left[:, CORNERS]), cmap=COLOURS, norm=_norm(inference))
     shades.set(array=left[:, 4], edgecolor="face", linewidth=0.3)
     axes.add_collection(shades, autolim=False)
     note = f"Not drawn: {skipped} hypotheses outside this picture or not of its states."
@@ -266,14 +280,16 @@ def _annotate(
     if not len(rectangles):
         return
     text = f"{wording.noun(inference)} {best}\n{wording.score(inference, best)}"
+    text = text.replace("violation ", "violation\n")
     size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # of the axes, about
-    label = np.array([0.05 * max(map(len, text.split("\n"))), 0.22]) / size
-    ties = [plane.rectangles(constraint(k))[:, [0, 2]] for k in leaders]
+    label = np.array([0.05 * max(map(len, text.split("\n"))), 0.11 * (1 + text.count("\n"))]) / size
+    ties = [plane.rectangles(constraint(k)).reshape(-1, 2, 2).mean(axis=2) for k in leaders]
     busy = [*20 * ties, *(plane.pieces(path) for path in demonstrations)]
     place, end = plane.place(rectangles, np.concatenate(busy), label)
     axes.annotate(
-        text, end, place, xycoords="axes fraction", textcoords="axes fraction", ha="center", va="center",
-        fontsize=9, fontweight="bold", color=INK, zorder=4, parse_math=False,
+        text, end, place, xycoords="axes fraction", textcoords="axes fraction",
+        ha="center", va="center", in_layout=False, zorder=4, parse_math=False,
+        fontsize=9, fontweight="bold", color=INK,
         bbox={"boxstyle": "round,pad=0.3", "fc": "white", "ec": INK, "lw": 0.8},
         arrowprops={"arrowstyle": "-", "color": INK, "lw": 1.2},
     )  # fmt: skip
@@ -321,7 +337,7 @@ def _patch(rectangles: np.ndarray, **style: Any) -> PathPatch:
 def _figure(
     header: list[tuple[str, float, str]], width: float, height: float, used: float
 ) -> tuple[Figure, Axes]:
-    """Return a figure with lines of (text, size [pt], colour) above axes that use this width [in]."""
+    """Return a figure with lines of (text, size [pt], colour) above axes of this height [in]."""
     lines = []
     for text, size, colour in header:
         lines += [(line, size, colour) for line in _wrapped(text, width - 0.3, size).split("\n")]

@@ -20,7 +20,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,11 +49,23 @@ class Problem:
     """
 
     mdp: MDP
-    hypotheses: HypothesisSet | Sequence[Constraint]
+    hypotheses: HypothesisSet
     beta: float = 1.0
     measure: str = "uniform"
     known: Sequence[Constraint] = ()
     between_states: bool = True
+
+    if TYPE_CHECKING:  # a list is made into a set
+
+        def __init__(
+            self,
+            mdp: MDP,
+            hypotheses: HypothesisSet | Sequence[Constraint],
+            beta: float = 1.0,
+            measure: str = "uniform",
+            known: Sequence[Constraint] = (),
+            between_states: bool = True,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         from swerve.mdp import MDP, check_mdp
@@ -67,13 +79,8 @@ class Problem:
             raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
         if self.measure not in MEASURES:
             raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
-        self._hypotheses.check(self.mdp.space)
+        self.hypotheses.check(self.mdp.space)
         object.__setattr__(self, "known", check_constraints(self.known, self.mdp.space, "known"))
-
-    @property
-    def _hypotheses(self) -> HypothesisSet:
-        """The hypotheses; `__post_init__` has made a set of a list."""
-        return cast(HypothesisSet, self.hypotheses)
 
     @property
     def record(self) -> ProblemRecord:
@@ -89,7 +96,7 @@ class Problem:
             num_actions=self.mdp.num_actions,
             num_steps=self.mdp.num_steps,
             dt=float(self.mdp.dt),
-            hypotheses=self._hypotheses,
+            hypotheses=self.hypotheses,
             known=tuple(self.known),
             beta=float(self.beta),
             measure=self.measure,

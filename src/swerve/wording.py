@@ -13,7 +13,7 @@ from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
 
 NUM_NAMED = 6  # hypotheses tied with the first that are named
-MAX_NAME = 120  # characters of a hypothesis in a title
+MAX_NAME = 120  # characters of a hypothesis in a sentence
 
 
 def title(inference: Inference) -> str:
@@ -21,7 +21,7 @@ def title(inference: Inference) -> str:
     if not len(inference.ranking):
         return f"No hypothesis is left: demonstrations enter all {len(inference.struck_out)}"
     best = int(inference.leaders[0])
-    what = cut(hypothesis(inference, best), MAX_NAME)
+    what = short_hypothesis(inference, best)
     text = f"{what} at {score(inference, best)}{_tied(inference)}"
     if not inference.demonstrations:
         return f"No demonstrations yet. Prior ranking: {text}"
@@ -36,20 +36,21 @@ def sentence(inference: Inference) -> str:
             "least one demonstration."
         )
     best = int(inference.leaders[0])
-    what, value = hypothesis(inference, best), score(inference, best)
-    tied = _tied(inference)
+    what, value = short_hypothesis(inference, best), score(inference, best)
+    value += _tied(inference)
     if not inference.demonstrations:
         return (
-            f"There are no demonstrations yet, so this is the prior ranking: what someone under no "
-            f"constraint would most often enter is {what} ({value} over all tasks{tied})."
-        )
-    if inference.score[best] <= TIE_ERRORS * inference.score_error[best]:
-        return (
-            f"No hypothesis explains the demonstrations noticeably better than no constraint does; "
-            f"first is {what}, at {value}{tied}."
+            "There are no demonstrations yet, so this is the prior ranking: what someone under no "
+            f"constraint enters most is {what} ({value})."
         )
     basis = counted(len(inference.demonstrations), "demonstration")
-    return f"What best explains {basis} is a constraint on {what}, at {value}{tied}."
+    if inference.score[best] <= TIE_ERRORS * inference.score_error[best]:
+        return (
+            f"No hypothesis explains {basis} noticeably better than no constraint does; the first "
+            f"is {what} ({value})."
+        )
+    verb = "is" if len(inference.demonstrations) == 1 else "are"
+    return f"{basis} {verb} best explained by keeping out of {what} ({value})."
 
 
 def settings(inference: Inference) -> str:
@@ -57,7 +58,7 @@ def settings(inference: Inference) -> str:
     evidence = inference.evidence
     return (
         f"{evidence.problem.summary}; {counted(len(inference.demonstrations), 'demonstration')}, "
-        f"{counted(np.count_nonzero(inference.task_counts), 'task')}, "
+        f"{counted(int(np.count_nonzero(inference.task_counts)), 'task')}, "
         f"{evidence.num_trajectories:,} trajectories a task from {evidence.solver}, "
         f"{evidence.method} weights, seed {evidence.seed}"
     )
@@ -85,6 +86,11 @@ def hypothesis(inference: Inference, index: int) -> str:
     return f"{noun(inference)} {index}: {inference.hypothesis_name(index)}"
 
 
+def short_hypothesis(inference: Inference, index: int) -> str:
+    """Return the same with a long name cut, for use in a sentence."""
+    return cut(hypothesis(inference, index), MAX_NAME)
+
+
 def rank(inference: Inference, row: int) -> str:
     """Return the rank of entry `row` of the ranking, for example '5=' where it is shared."""
     number = inference.rank[row]
@@ -92,14 +98,14 @@ def rank(inference: Inference, row: int) -> str:
 
 
 def score(inference: Inference, index: int) -> str:
-    """Return for example '13.4 ± 0.1 nats'."""
-    unit = "nats" if inference.score_name == "likelihood" else "average violation"
-    return f"{measured(inference.score[index], inference.score_error[index])} {unit}"
+    """Return for example '13.4 ± 0.1 nats' or 'average violation 0.274 ± 0.001'."""
+    text = measured(inference.score[index], inference.score_error[index])
+    return f"{text} nats" if inference.score_name == "likelihood" else f"average violation {text}"
 
 
 def measured(value: float, error: float) -> str:
     """Return for example '13.4 ± 0.1', to the first digit of the standard error."""
-    digits = 3 if error < 1e-3 else max(0, -math.floor(math.log10(float(f"{error:.0e}"))))
+    digits = 4 if error < 1e-4 else max(0, -math.floor(math.log10(float(f"{error:.0e}"))))
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
