@@ -63,6 +63,8 @@ class Box(Constraint):
             raise ValueError("Box: expected at least one interval, as in Box(x=(0.0, 1.0))")
         self.intervals: dict[str, tuple[float, float]] = {}
         for name, interval in intervals.items():
+            if np.shape(interval) != (2,):
+                raise ValueError(f"Box: expected {name}=(low, high), got {interval!r}")
             low, high = (float(value) for value in interval)
             if not low < high:
                 raise ValueError(f"Box: expected low < high for {name!r}, got ({low}, {high})")
@@ -91,7 +93,8 @@ class Box(Constraint):
         for name, (low, high) in self.intervals.items():
             value = states[..., space.column(name)]
             if name in space.angles:
-                inside = inside & ((value - low) % TWO_PI < high - low)
+                # twice, since a tiny negative number modulo 2 pi is rounded to 2 pi itself
+                inside = inside & ((value - low) % TWO_PI % TWO_PI < high - low)
             else:
                 inside = inside & (low <= value) & (value < high)
         return inside
@@ -114,7 +117,11 @@ class Box(Constraint):
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
-        return {"kind": "box", "intervals": {k: list(v) for k, v in self.intervals.items()}}
+        intervals = {
+            name: [value if math.isfinite(value) else None for value in interval]
+            for name, interval in self.intervals.items()
+        }
+        return {"kind": "box", "intervals": intervals}
 
 
 class Predicate(Constraint):
@@ -165,7 +172,12 @@ class Predicate(Constraint):
 def constraint_from_json(data: dict[str, Any]) -> Constraint:
     """Rebuild a constraint from `to_json` data; a predicate comes back without its function."""
     if data["kind"] == "box":
-        return Box(**{name: tuple(interval) for name, interval in data["intervals"].items()})
+        return Box(
+            **{
+                name: (-math.inf if low is None else low, math.inf if high is None else high)
+                for name, (low, high) in data["intervals"].items()
+            }
+        )
     return Predicate(data["name"], _missing_function(data["name"]), data["num_points"])
 
 
@@ -215,6 +227,8 @@ def check_constraints(constraints: Any, space: StateSpace, where: str) -> tuple[
     Raises:
       ValueError: if one is no Constraint or does not fit; `where` names the argument.
     """
+    if isinstance(constraints, Constraint):
+        raise ValueError(f"{where}: expected a list of constraints, got {constraints!r} alone")
     checked = tuple(constraints)
     for k, constraint in enumerate(checked):
         if not isinstance(constraint, Constraint):

@@ -71,9 +71,11 @@ def normalise(log_weight: np.ndarray) -> np.ndarray:
     """Return weights [N] that sum to 1.
 
     Raises:
-      ValueError: if every log-weight is -inf.
+      ValueError: if a log-weight is NaN, or every one is -inf.
     """
     largest = log_weight.max()
+    if np.isnan(largest):
+        raise ValueError(f"{np.isnan(log_weight).sum()} of {log_weight.size} log-weights are NaN")
     if np.isneginf(largest):
         raise ValueError(
             f"all {log_weight.size} sampled trajectories enter a known constraint: nothing is left "
@@ -122,7 +124,7 @@ def avoid_probability(
       Estimate with [H] probabilities and variances.
 
     Raises:
-      ValueError: if N differs.
+      ValueError: if N differs, a log-weight is NaN, or every one is -inf.
     """
     if len(log_weight) != len(violations):
         raise ValueError(
@@ -148,8 +150,10 @@ def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:
     """Return e with P(|error| > e) <= 1 - confidence for N equal weights (the paper, III-C.2).
 
     Raises:
-      ValueError: if `confidence` is not between 0 and 1.
+      ValueError: if `confidence` is not between 0 and 1, or there is no trajectory.
     """
+    if num_trajectories < 1:
+        raise ValueError(f"num_trajectories: expected at least 1, got {num_trajectories}")
     return math.sqrt(math.log(2.0 / _miss_probability(confidence)) / (2.0 * num_trajectories))
 
 

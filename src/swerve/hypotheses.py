@@ -124,7 +124,13 @@ class GridHypotheses(HypothesisSet):
         axes = self._lines(space)
         indices = [axis.index(axis.position(states)) for axis in axes]
         moved = np.ones(states.shape[:-1], bool)
-        moved[:, 1:] = np.any([index[:, 1:] != index[:, :-1] for index in indices], axis=0)
+        moved[:, 1:] = np.any(
+            [
+                (index[:, 1:] != index[:, :-1]) | axis.in_gap(index[:, :-1])
+                for axis, index in zip(axes, indices, strict=True)
+            ],
+            axis=0,
+        )
         bits = np.zeros((states.shape[0], (len(self) + 7) // 8), np.uint8)
         _set_bits(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
         if between_states:
@@ -145,7 +151,7 @@ class GridHypotheses(HypothesisSet):
         """
         axes = self._lines(space)
         steps = space.difference(starts, ends)
-        spans = [axis.span(starts, steps) for axis in axes]
+        spans = [axis.span(starts, ends, steps) for axis in axes]
         many = np.flatnonzero(np.sum([np.abs(last - first) for first, last in spans], axis=0) >= 2)
         segments, fractions = [], []
         for axis, (first, last) in zip(axes, spans, strict=True):
@@ -155,7 +161,8 @@ class GridHypotheses(HypothesisSet):
         segment, fraction = np.concatenate(segments), np.concatenate(fractions)
         order = np.lexsort((fraction, segment))
         segment, fraction = segment[order], fraction[order]
-        same = segment[1:] == segment[:-1]
+        # a piece without length is a corner that is touched: not entered, as with boxes
+        same = (segment[1:] == segment[:-1]) & (fraction[1:] > fraction[:-1])
         middle = (0.5 * (fraction[1:] + fraction[:-1]))[same, None]
         piece = many[segment[1:][same]]
         return piece, self.cells(starts[piece] + middle * steps[piece], space)
@@ -198,10 +205,22 @@ class _Axis:
         within = np.floor((position - turn * TWO_PI) / self.width)
         return (turn * self.period + np.minimum(within, self.period - 1)).astype(np.int64)
 
-    def span(self, starts: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the extended indices of the two ends of segments."""
-        position = self.position(starts)
-        return self.index(position), self.index(position + steps[..., self.column])
+    def in_gap(self, index: np.ndarray) -> np.ndarray:
+        """Return where an index is the gap of an angle, which one step may leave and enter."""
+        return self.is_angle & (index % self.period >= self.count)
+
+    def span(
+        self, starts: np.ndarray, ends: np.ndarray, steps: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the extended indices of the two ends of segments.
+
+        The end itself tells its index: start + step may be rounded to the other side of a line.
+        """
+        first, last = self.position(starts), self.position(ends)
+        if not self.is_angle:
+            return self.index(first), self.index(last)
+        turns = np.round((first + steps[..., self.column] - last) / TWO_PI).astype(np.int64)
+        return self.index(first), self.index(last) + turns * self.period
 
     def is_cell(self, index: np.ndarray) -> np.ndarray:
         """Return where an extended index is a cell, not outside or in the gap."""
@@ -228,7 +247,9 @@ class _Axis:
         order = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         number = np.minimum(first, last)[segment] + 1 + order
         position, step = self.position(starts)[segment], steps[segment, self.column]
-        return segment, np.clip((self.line(number) - position) / step, 0.0, 1.0)
+        ahead = self.line(number) - position
+        fraction = np.divide(ahead, step, out=np.zeros(len(step)), where=step != 0.0)
+        return segment, np.clip(fraction, 0.0, 1.0)
 
 
 class ConstraintHypotheses(HypothesisSet):
@@ -322,9 +343,9 @@ def _set_bits(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
 def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, int]:
     if len(axis) != 3:
         raise ValueError(f"grid: expected {name}=(low, high, number of cells), got {axis!r}")
-    low, high, cells = float(axis[0]), float(axis[1]), int(axis[2])
+    low, high, cells = (float(value) for value in axis)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ValueError(f"grid: expected finite low < high for {name!r}, got ({low}, {high})")
-    if cells != axis[2] or cells < 1:
+    if not cells.is_integer() or cells < 1:
         raise ValueError(f"grid: expected a whole number of cells for {name!r}, got {axis[2]!r}")
-    return low, high, cells
+    return low, high, int(cells)

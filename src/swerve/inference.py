@@ -260,6 +260,15 @@ class Inference:
         write_report(self, path)
 
 
+def _check_goal(demonstration: Demonstration, evidence: Evidence) -> None:
+    expected, got = evidence.tasks.goal.shape[1], len(demonstration.task.goal)
+    if got != expected:
+        names = ", ".join(evidence.problem.goal_names)
+        raise ValueError(
+            f"{demonstration.name}: expected a goal of {expected} numbers ({names}), got {got}"
+        )
+
+
 def infer(
     evidence: Evidence,
     demonstrations: Sequence[Demonstration] = (),
@@ -283,10 +292,13 @@ def infer(
     if score not in SCORES:
         raise ValueError(f"score: expected one of {', '.join(SCORES)}, got {score!r}")
     problem = evidence.problem
+    if isinstance(demonstrations, Demonstration):
+        raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")
     demonstrations = tuple(demonstrations)
     task_of, rows = [], []
     for demonstration in demonstrations:
         check_states(demonstration.states, demonstration.times, problem.space, demonstration.name)
+        _check_goal(demonstration, evidence)
         task_of.append(evidence.match(demonstration.task, demonstration.name))
         rows.append(
             problem.hypotheses.violations(

@@ -74,6 +74,7 @@ class Problem:
             raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
         check_mdp(self.mdp)
         if not isinstance(self.hypotheses, HypothesisSet):
+            check_constraints(self.hypotheses, self.mdp.space, "hypotheses")
             object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))
         if not (math.isfinite(self.beta) and self.beta >= 0):
             raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
@@ -190,11 +191,27 @@ def _mdp_digest(mdp: MDP) -> str:
     leaves, _ = jax.tree_util.tree_flatten_with_path(mdp)
     parts = [f"{type(mdp).__module__}.{type(mdp).__qualname__}", _mdp_name(mdp)]
     for path, leaf in leaves:
+        if callable(leaf):  # its bytes would be an address
+            parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
+            continue
         array = np.asarray(leaf)
         parts.append(f"{jax.tree_util.keystr(path)}{array.dtype}{array.shape}")
         parts.append(array.tobytes().hex())
+    parts += _static_fields(mdp, "")
     parts.append(np.asarray(mdp.actions, np.float64).tobytes().hex())
     return _digest("\n".join(parts))
+
+
+def _static_fields(module: Any, path: str) -> list[str]:
+    """Return the static fields of a module and the modules in it, which are no leaves."""
+    parts = []
+    for field in dataclasses.fields(module):
+        value, where = getattr(module, field.name), f"{path}.{field.name}"
+        if field.metadata.get("static"):
+            parts.append(f"{where}={value!r}")
+        elif dataclasses.is_dataclass(value):
+            parts += _static_fields(value, where)
+    return parts
 
 
 def _digest(text: str) -> str:

@@ -159,7 +159,11 @@ def _is_user_source(path: Path) -> bool:
     installed = [
         sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")
     ]
-    return path.suffix == ".py" and not any(path.is_relative_to(folder) for folder in installed)
+    return (
+        path.suffix == ".py"
+        and not {"site-packages", "dist-packages"} & set(path.parts)  # of users, of Debian
+        and not any(path.is_relative_to(folder) for folder in installed)
+    )
 
 
 def _load_file(path: Path) -> ModuleType:
@@ -178,6 +182,8 @@ def _load_file(path: Path) -> ModuleType:
 
 
 def _load_module(name: str, text: str) -> ModuleType:
+    if str(Path.cwd()) not in sys.path:  # as `python -m` has it
+        sys.path.insert(0, str(Path.cwd()))
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
