@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from synthetic import SPACE, make_record
 
 from swerve.constraints import Box, Predicate, constraint_from_json
@@ -16,7 +17,7 @@ TORUS = StateSpace(("a", "b"), ("a", "b"), np.array([[0.0, TWO_PI], [-np.pi, np.
 seeds = st.integers(0, 2**32 - 1)
 
 
-def plane(hypotheses: HypothesisSet, *states: np.ndarray, space: StateSpace = SPACE) -> Plane:
+def plane(hypotheses: HypothesisSet, *states: ArrayLike, space: StateSpace = SPACE) -> Plane:
     record = make_record(space=space, hypotheses=hypotheses)
     return plane_of(record, [Path(np.array(s, float), None) for s in states])
 

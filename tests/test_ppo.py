@@ -88,7 +88,7 @@ def test_clip_stops_the_surrogate_from_rewarding_large_steps() -> None:
         return float(jax.grad(loss)(jnp.float32(probability)))
 
     assert slope(0.55) == pytest.approx(-2.0)
-    assert slope(0.65) == 0.0
+    assert slope(0.65) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("output", [-3.0, -0.5, 0.2, 2.5])

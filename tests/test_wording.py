@@ -118,3 +118,12 @@ def test_lists_of_boxes_are_hypotheses_not_cells() -> None:
     assert wording.hypothesis(result, 1) == "hypothesis 1: x [6, 7)"
     assert wording.counted(1, "hypothesis") == "1 hypothesis"
     assert wording.counted(1200, "hypothesis") == "1,200 hypotheses"
+
+
+def test_lines_do_not_break_inside_a_value() -> None:
+    text = "cell 5: theta [3.14, 3.77), omega [-1.2, 0) at 13.4 ± 0.1 nats, Grid(num=(180, 361))"
+    for width in np.linspace(1.8, 6.0, 20):
+        lines = wording.wrapped(text, width, 10.0).replace("\N{NO-BREAK SPACE}", " ").split("\n")
+        assert " ".join(lines) == text
+        for value in ("[3.14, 3.77)", "[-1.2, 0)", "13.4 ± 0.1 nats", "(180, 361)"):
+            assert any(value in line for line in lines)

@@ -19,6 +19,7 @@ import numpy as np
 
 from swerve.constraints import Box, Constraint
 from swerve.hypotheses import ConstraintHypotheses, GridHypotheses, HypothesisSet
+from swerve.inference import Inference
 from swerve.problem import ProblemRecord
 from swerve.space import TWO_PI, StateSpace
 
@@ -107,7 +108,8 @@ class Plane:
             return np.zeros((0, 4))
         box = np.array([constraint.intervals.get(name, EVERYTHING) for name in self.names])
         wraps = ~np.isnan(self.turns) & np.isfinite(box).all(axis=1)
-        shift = np.where(wraps, _wrap(box[:, 0], self.turns) - box[:, 0], 0.0)
+        low = np.where(wraps, box[:, 0], 0.0)
+        shift = np.where(wraps, _wrap(low, self.turns) - low, 0.0)
         images = itertools.product(*((0.0, TWO_PI) if wrap else (0.0,) for wrap in wraps))
         parts = np.array([box + (shift - image)[:, None] for image in images])
         parts = np.clip(parts, self.limits[:, :1], self.limits[:, 1:])
@@ -149,6 +151,15 @@ class Plane:
             return runs(np.asarray(constraint.contains(states, self.space)), *edges)
         except ValueError:  # read from a file, which holds no code
             return np.zeros((0, 4))
+
+
+def nominal_paths(inference: Inference, most: int) -> list[Path]:
+    """Return at most so many of the trajectories kept, from all tasks that were used alike."""
+    tasks = np.flatnonzero(inference.task_counts)
+    tasks = tasks[:: math.ceil(len(tasks) / most)]
+    kept = inference.evidence.samples.kept[tasks, : most // len(tasks)]
+    times = np.arange(kept.shape[2]) * inference.evidence.problem.dt
+    return [Path(states, times) for of_task in kept for states in of_task]
 
 
 def plane_of(problem: ProblemRecord, paths: Sequence[Path]) -> Plane:

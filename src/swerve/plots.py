@@ -10,9 +10,6 @@ Shapes: H hypotheses, R rectangles, n states.
 
 from __future__ import annotations
 
-import math
-import re
-import textwrap
 from pathlib import Path
 from typing import Any, cast
 
@@ -40,7 +37,7 @@ NUM_BARS = 12
 NUM_OUTLINED = 100  # hypotheses of the first rank that are outlined
 MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
 MAX_WARNING = 300  # characters of a warning; the report has all of them
-WIDTH = 8.4  # in
+WIDTH, MIN_WIDTH = 8.4, 2.5  # in
 NARROW = 6.0  # in; below it the colour bar goes under the picture
 CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
 DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
@@ -79,12 +76,12 @@ def plot_inference(
       has_header: whether to write the answer, the warnings and the settings above it.
 
     Raises:
-      ValueError: if matplotlib knows no such format.
+      ValueError: if matplotlib knows no such format, or it is too narrow for its text.
     """
     is_wide = width >= NARROW
     header = _header(inference) if has_header else []
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
-    nominal = _nominal_paths(inference)
+    nominal = planes.nominal_paths(inference, NUM_LINES)
     plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal])
     figure, axes = _figure(header, width, *_size(plane, width))
     notes = _draw_scores(axes, inference, plane)
@@ -93,7 +90,7 @@ def plot_inference(
     _draw_nominal(axes, nominal, plane)
     _draw_demonstrations(axes, demonstrations, plane)
     _annotate(axes, inference, demonstrations, plane)
-    _finish(axes, plane, _wrapped(" ".join(notes), width - 1.5, 7.5))
+    _finish(axes, plane, wording.wrapped(" ".join(notes), width - 1.5, 7.5))
     if len(inference.ranking):
         _colour_bar(axes, inference, "right" if is_wide else "bottom")
     _legend(figure, axes, is_wide)
@@ -111,7 +108,7 @@ def plot_ranking(
       width: of the picture [in].
 
     Raises:
-      ValueError: if matplotlib knows no such format.
+      ValueError: if matplotlib knows no such format, or it is too narrow for its text.
     """
     shown, total = inference.ranking[:NUM_BARS], len(inference.ranking)
     title = f"First {len(shown)} of {wording.counted(total, wording.noun(inference))} left"
@@ -138,7 +135,7 @@ def plot_ranking(
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
     label = f"{wording.score_label(inference)}; whiskers: standard error"
-    axes.set_xlabel(_wrapped(label, width - 0.5, 8.5), fontsize=8.5)
+    axes.set_xlabel(wording.wrapped(label, width - 0.5, 8.5), fontsize=8.5)
     return _written(figure, path)
 
 
@@ -230,19 +227,11 @@ def _draw_leaders(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
 
 
 def _draw_known(axes: Axes, inference: Inference, plane: Plane) -> None:
-    for k, constraint in enumerate(inference.evidence.problem.known):
-        label = None if k else "known constraint"
-        rectangles = plane.rectangles(constraint)
+    parts = [plane.rectangles(constraint) for constraint in inference.evidence.problem.known]
+    rectangles = np.concatenate([np.zeros((0, 4)), *parts])
+    if len(rectangles):
+        label = "known constraint"
         axes.add_patch(_patch(rectangles, facecolor=KNOWN, linewidth=0, label=label))
-
-
-def _nominal_paths(inference: Inference) -> list[planes.Path]:
-    """Return at most NUM_LINES of the trajectories kept, from all tasks alike."""
-    tasks = np.flatnonzero(inference.task_counts)
-    tasks = tasks[:: math.ceil(len(tasks) / NUM_LINES)]
-    kept = inference.evidence.samples.kept[tasks, : NUM_LINES // len(tasks)]
-    times = np.arange(kept.shape[2]) * inference.evidence.problem.dt
-    return [planes.Path(states, times) for of_task in kept for states in of_task]
 
 
 def _draw_nominal(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:
@@ -338,9 +327,13 @@ def _figure(
     header: list[tuple[str, float, str]], width: float, height: float, used: float
 ) -> tuple[Figure, Axes]:
     """Return a figure with lines of (text, size [pt], colour) above axes of this height [in]."""
+    if width < MIN_WIDTH:
+        raise ValueError(f"width: expected at least {MIN_WIDTH} in, got {width}")
     lines = []
     for text, size, colour in header:
-        lines += [(line, size, colour) for line in _wrapped(text, width - 0.3, size).split("\n")]
+        lines += [
+            (line, size, colour) for line in wording.wrapped(text, width - 0.3, size).split("\n")
+        ]
     top = 0.15 + sum(1.4 * size / 72 for _, size, _ in lines)
     figure = Figure((width, height + top), facecolor="white")
     FigureCanvasAgg(figure)
@@ -354,12 +347,6 @@ def _figure(
         figure.text(0.12 / width, y / (height + top), text, va="top", parse_math=False, **style)
         y -= 1.4 * size / 72
     return figure, figure.add_subplot()
-
-
-def _wrapped(text: str, width: float, size: float) -> str:
-    """Break text of a size [pt] into lines of a width [in]."""
-    text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)
-    return textwrap.fill(text, int(width * 72 / (0.6 * size)))
 
 
 def _written(figure: Figure, path: str | Path | None) -> Figure:

@@ -48,6 +48,7 @@ p, dd, li { max-width: 46rem; }
   padding: .7rem 1rem; margin: 1rem 0; border-radius: .2rem; }
 .alarm p { margin: .3rem 0; }
 figure { margin: 1rem 0; }
+figcaption { margin-top: .4rem; }
 img { display: block; width: 100%; height: auto; background: #fff; border-radius: .3rem; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }

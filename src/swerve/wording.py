@@ -6,6 +6,8 @@ score ± standard error,    to the first digit of the error
 from __future__ import annotations
 
 import math
+import re
+import textwrap
 
 import numpy as np
 
@@ -73,6 +75,12 @@ def cut(text: str, length: int) -> str:
     """Return text on one line of at most so many characters."""
     text = " ".join(text.split())
     return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+def wrapped(text: str, width: float, size: float) -> str:
+    """Return text of a size [pt] in lines of a width [in], with no break inside a value."""
+    text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)
+    return textwrap.fill(text, int(width * 72 / (0.6 * size)))
 
 
 def noun(inference: Inference) -> str:
