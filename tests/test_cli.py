@@ -139,6 +139,49 @@ def test_a_changed_source_is_noticed(
     assert json.loads(third) == json.loads(second)
 
 
+def test_learning_notices_a_changed_source(robot: str, run: Run, tmp_path: Path) -> None:
+    arguments = ("learn", robot, "--work", tmp_path / "work", "--solver", SOLVER)
+    assert run(*arguments)[0] == 0
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 2.0\n")
+    status, _, said = run(*arguments)
+    assert status == 0
+    assert "neighbour.py has changed" in said
+    assert "max_torque=2" in said
+
+
+def test_a_folder_with_files_of_others_is_left_alone(robot: str, run: Run, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "model.checkpoint").write_text("weeks of work")
+    status, _, said = run("learn", robot, "--work", work, "--solver", SOLVER)
+    assert status == 1
+    assert "holds model.checkpoint but no problem.json" in said
+    assert (work / "model.checkpoint").read_text() == "weeks of work"
+
+
+def test_a_reader_that_stops_early_is_no_error(robot: str) -> None:
+    command = [sys.executable, "-m", "swerve", "demonstrate", "--help"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    process.wait(timeout=60)
+    assert "Broken pipe" not in process.stderr.read()
+    process.stderr.close()
+
+
+def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "tasks.csv").write_text("demo\n")
+    status, _, said = run("demonstrate", robot, "--constraint", 3, "--out", tmp_path)
+    assert status == 1
+    assert "tasks.csv exists already" in said
+    assert "demonstrating" not in said
+    arguments = ("--num", 3, "--tasks", tmp_path / "tasks.csv", "--out", tmp_path / "new")
+    status, _, said = run("demonstrate", robot, "--constraint", 3, *arguments)
+    assert status == 1
+    assert "--num or --tasks, not both" in said
+
+
 def test_new_tasks_are_added_to_what_is_there(
     robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
 ) -> None:

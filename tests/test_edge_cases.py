@@ -15,7 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import Cart
-from synthetic import TASKS, make_demonstration, make_evidence, make_record
+from synthetic import (
+    TASKS,
+    evidence_of_columns,
+    make_demonstration,
+    make_evidence,
+    make_record,
+)
 from test_constraints import meets_exactly
 
 from swerve import Box, Problem, Task, grid, hoeffding_error, infer
@@ -236,3 +242,18 @@ def test_one_demonstration_in_the_place_of_a_list() -> None:
 def test_a_number_in_the_place_of_an_interval() -> None:
     with pytest.raises(ValueError, match=r"Box: expected x=\(low, high\), got 3"):
         Box(x=3)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_demonstration_through_a_known_wall_is_refused() -> None:
+    evidence = make_evidence(make_record(known=(Box(x=(5.0, 6.0)),)))
+    inside = make_demonstration(0, "ghost", x=5.5)
+    with pytest.raises(ValueError, match=r"ghost enters the known constraint x \[5, 6\)"):
+        infer(evidence, [inside])
+    assert len(infer(evidence, [make_demonstration(0, x=4.5)]).demonstrations) == 1
+
+
+def test_too_few_samples_are_told_from_a_bad_policy() -> None:
+    cells = grid(x=(0.0, 9.0, 3))
+    few = infer(evidence_of_columns(np.zeros((1, 50, 3)), cells)).warnings
+    assert "Sample more trajectories" in few[0]
+    assert "policy" not in few[0]

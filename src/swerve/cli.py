@@ -160,7 +160,7 @@ def demonstrate(
     *,
     constraint: int,
     out: Path,
-    num: int = 10,
+    num: int | None = None,
     tasks: Tasks = None,
     seed: int = 0,
 ) -> None:
@@ -169,19 +169,23 @@ def demonstrate(
     Args:
       constraint: Index of the hypothesis to obey.
       out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
-      num: How many; of as many tasks drawn from the MDP unless --tasks is given.
+      num: How many, of as many tasks drawn from the MDP. [default: 10, or one for each of --tasks]
     """
     from swerve.demonstrations import read_tasks, write_demonstrations
     from swerve.demonstrators.boltzmann import demonstrate as draw
     from swerve.demonstrators.boltzmann import draw_tasks
 
+    if tasks is not None and num is not None:
+        raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
+    if (out / "tasks.csv").exists():
+        raise FileExistsError(f"{out / 'tasks.csv'} exists already; name another folder with --out")
     job = _work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
     if tasks is not None:
         rows = read_tasks(tasks, record.space, record.goal_names)
-        batch = swerve.Task.stack(list(rows.values())[:num])
+        batch = swerve.Task.stack(list(rows.values()))
     else:
-        batch = draw_tasks(job.problem, forbidden, num, seed=seed)
+        batch = draw_tasks(job.problem, forbidden, num or 10, seed=seed)
     made = draw(job.problem, forbidden, batch, seed=seed, progress=True)
     write_demonstrations(
         out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
@@ -210,6 +214,8 @@ def main() -> None:
     except KeyboardInterrupt:
         _say("interrupted; the same command goes on from what --work holds")
         sys.exit(130)
+    except BrokenPipeError:  # whoever read the output, such as head, has seen enough
+        sys.stdout = None
     except (ValueError, OSError) as error:
         _say(f"swerve: error: {error}")
         sys.exit(1)

@@ -209,12 +209,11 @@ class Evidence:
 
     def select(self, indices: list[int]) -> Evidence:
         """Return evidence for some of the tasks, in the order given."""
-        samples = self.samples
         return dataclasses.replace(
             self,
             tasks=Task(*(values[indices] for values in self.tasks)),
             summary=Summary(*(values[indices] for values in self.summary)),
-            load_samples=lambda: Samples(*(values[indices] for values in samples)),
+            load_samples=lambda: Samples(*(values[indices] for values in self.samples)),
         )
 
     def joined(self, other: Evidence) -> Evidence:

@@ -21,14 +21,17 @@ from typing import Any
 
 import numpy as np
 
+from swerve.constraints import violates
 from swerve.demonstrations import Demonstration, check_states
 from swerve.evidence import Evidence
 from swerve.hypotheses import unpack
+from swerve.problem import ProblemRecord
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
 LOW_ESS_SHARE = 0.02
 LOW_ESS = 100.0
+GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 TABLE_ROWS = 10
 
 
@@ -157,10 +160,20 @@ class Inference:
         message = (
             f"not to be trusted: the effective sample size is too low for {low.sum()} of "
             f"{np.count_nonzero(self.task_counts)} tasks (worst: {self.task_name(worst)}, "
-            f"{ess[worst]:.0f} of {num}). The policy is far from pi_0: train it longer, or use "
-            "--solver grid where the state has at most 3 dimensions"
+            f"{ess[worst]:.0f} of {num}). {self._remedy(ess[worst] / num)}"
         )
         return [message]
+
+    def _remedy(self, share: float) -> str:
+        """Return what to do about an effective sample size that is this share of N."""
+        if share > GOOD_ESS_SHARE:
+            return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
+        if self.evidence.solver.startswith("Grid("):
+            return "The grid is too coarse for this problem: give it more num_points"
+        return (
+            "The policy is far from pi_0: train it longer, or use the grid solver where the state "
+            "has at most 3 dimensions"
+        )
 
     def _floored(self) -> list[str]:
         used = self.task_counts > 0
@@ -260,6 +273,16 @@ class Inference:
         write_report(self, path)
 
 
+def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
+    """Refuse a demonstration that enters a known constraint: under the model it cannot happen."""
+    for constraint in problem.known:
+        if violates(constraint, demonstration.states, problem.space, problem.between_states):
+            raise ValueError(
+                f"{demonstration.name} enters the known constraint {constraint.name}, which the "
+                "problem says nobody can: correct the demonstration (units, frame) or `known`"
+            )
+
+
 def _check_goal(demonstration: Demonstration, evidence: Evidence) -> None:
     expected, got = evidence.tasks.goal.shape[1], len(demonstration.task.goal)
     if got != expected:
@@ -298,6 +321,7 @@ def infer(
     task_of, rows = [], []
     for demonstration in demonstrations:
         check_states(demonstration.states, demonstration.times, problem.space, demonstration.name)
+        _check_known(demonstration, problem)
         _check_goal(demonstration, evidence)
         task_of.append(evidence.match(demonstration.task, demonstration.name))
         rows.append(

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swerve.constraints import Constraint, check_constraints, constraint_from_json
+from swerve.constraints import Constraint, Predicate, check_constraints, constraint_from_json
 from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
 from swerve.space import StateSpace
 
@@ -133,6 +133,11 @@ class ProblemRecord:
     mdp_digest: str
 
     @property
+    def needs_code(self) -> bool:
+        """Whether judging a demonstration needs functions that no file can hold."""
+        return self.hypotheses.needs_code or any(isinstance(c, Predicate) for c in self.known)
+
+    @property
     def fingerprint(self) -> str:
         """A hash that differs between problems: of the model, hypotheses, and all settings."""
         return _digest(json.dumps(self.to_json()))  # unsorted: the order of a grid's axes counts
@@ -176,7 +181,7 @@ class ProblemRecord:
 def _mdp_name(mdp: MDP) -> str:
     """Return for example 'Pendulum(max_torque=10.0, num_torques=5)': the scalar parameters."""
     parameters = [
-        f"{field.name}={value}"
+        f"{field.name}={value:.6g}" if isinstance(value, float) else f"{field.name}={value}"
         for field in dataclasses.fields(mdp)
         for value in [getattr(mdp, field.name)]
         if isinstance(value, int | float | str)

@@ -89,7 +89,7 @@ class Work:
     @property
     def record(self) -> ProblemRecord:
         """The problem as data; from the folder while its sources are unchanged."""
-        if self._stored is not None and not self._stored.hypotheses.needs_code:
+        if self._stored is not None and not self._stored.needs_code:
             return self._stored
         return self.problem.record
 
@@ -144,16 +144,17 @@ class Work:
         """
         from swerve.nominal import learn, load_nominal, save_nominal
 
+        problem = self.problem  # first, since it clears the folder of what is out of date
         solver = solver or self._last_solver() or self._default_solver()
         path, checkpoint = self._path(solver, "nominal"), self._path(solver, "checkpoint")
         if path is not None and path.exists():
             self.say(f"using {path}")
-            return load_nominal(path, self.problem)
+            return load_nominal(path, problem)
         if self.folder is not None:
             store.check_writable(self.folder)
-        self.say(f"learning with {solver}: {self.problem.record.summary}")
+        self.say(f"learning with {solver}: {problem.record.summary}")
         nominal = learn(
-            self.problem,
+            problem,
             solver,
             tasks=tasks,
             seed=seed or 0,
@@ -220,7 +221,7 @@ class Work:
         if self._stored is None or path is None or not path.exists():
             return None
         evidence = Evidence.load(path)
-        if evidence.problem.hypotheses.needs_code:
+        if evidence.problem.needs_code:
             evidence = dataclasses.replace(evidence, problem=self.problem.record)
         return evidence if settings.fits(evidence) else None
 
@@ -251,9 +252,14 @@ class Work:
         """Remove what rests on an older version of the problem, then record this one."""
         assert self.folder is not None
         store.check_writable(self.folder)
-        for pattern in RESULTS:
-            for path in self.folder.glob(pattern):
-                path.unlink()
+        results = [path for pattern in RESULTS for path in self.folder.glob(pattern)]
+        if results and not (self.folder / "problem.json").exists():
+            raise ValueError(
+                f"{self.folder} holds {results[0].name} but no problem.json, so it is no work "
+                "folder of swerve: name another --work folder"
+            )
+        for path in results:
+            path.unlink()
         data: dict[str, Any] = {
             "problem": canonical_problem(self.problem_text),
             "record": problem.record.to_json(),
