@@ -212,7 +212,11 @@ class TestFiles:
         for name in PROPERTIES:
             np.testing.assert_array_equal(getattr(loaded, name), getattr(evidence, name))
         assert loaded.find(Task(TASKS.start[1], TASKS.goal[1])) == 1
-        for use in (lambda: loaded.samples, lambda: loaded.log_weight, lambda: loaded.select([0])):
+        for use in (
+            lambda: loaded.samples,
+            lambda: loaded.log_weight,
+            lambda: loaded.select([0]).samples,
+        ):
             with pytest.raises(StoreError, match=r"a\.evidence: altered"):
                 use()
         assert path.read_bytes() == content

@@ -353,15 +353,15 @@ class TestRecord:
         assert back.action_names == problem.mdp.action_names
 
     def test_fields(self) -> None:
-        record = Problem(Height(push=2.0), ANGLES, beta=2).record
-        assert record.name == "Height(push=2.0)"
+        record = Problem(Height(push=2), ANGLES, beta=2).record
+        assert record.name == "Height(push=2)"
         assert record.goal_names == ("height",)
         assert not record.goal_is_last_state
         assert Problem(Bare(), ANGLES).record.goal_is_last_state
         assert (record.num_actions, record.num_steps, record.dt) == (3, 4, 0.5)
         assert (record.beta, record.measure, record.between_states) == (2.0, "uniform", True)
         assert record.summary == (
-            "Height(push=2.0), beta 2, uniform measure, 4 hypotheses judged at states and segments "
+            "Height(push=2), beta 2, uniform measure, 4 hypotheses judged at states and segments "
             "between them"
         )
         walled = Problem(Bare(), ANGLES, known=[Box(speed=(2.0, 3.0))], between_states=False)
