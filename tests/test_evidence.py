@@ -146,8 +146,8 @@ class TestFloorAndErrors:
         np.testing.assert_allclose(evidence.standard_error[0, 1:], expected, rtol=1e-12)
         assert evidence.standard_error[0, -1] == 1 / 128
 
-    def test_a_single_heavy_trajectory_is_no_floor(self) -> None:
-        """Fewer than 1 / N of the WEIGHT is what counts."""
+    def test_one_heavy_trajectory_resolves_nothing(self) -> None:
+        """The floor rests on the effective sample size: here one of two has all the weight."""
         samples = make_samples(2, num_hypotheses=12)
         samples.total_reward[:] = [0.0, -20.0]
         samples.log_probability[:], samples.length[:] = -1.0, 5
@@ -157,7 +157,9 @@ class TestFloorAndErrors:
             samples=samples._replace(violations=np.packbits(~avoids, axis=-1, bitorder="little"))
         )
         np.testing.assert_array_equal(evidence.is_floored[:, :3], [[True, False, False]] * 3)
-        np.testing.assert_allclose(evidence.log_ratio[:, 0], -math.log(2))
+        np.testing.assert_allclose(evidence.log_ratio[:, 0], 0.0, atol=1e-3)
+        plain = dataclasses.replace(evidence, method="plain")
+        np.testing.assert_allclose(plain.resolution, 0.5)
         np.testing.assert_array_equal(evidence.standard_error[:, 0], 1.0)
         # and no error is less than what one trajectory could change, 1 / ESS
         assert evidence.effective_sample_size == pytest.approx([1.0] * 3, abs=1e-3)

@@ -341,7 +341,7 @@ class TestWarnings:
         assert result.log_likelihood[6] == pytest.approx(math.log(1000))
         (warning,) = result.warnings
         assert warning.startswith("hypothesis 6 is entered by almost every nominal trajectory")
-        assert "a lower bound, at most log N = 6.9 nats a demonstration" in warning
+        assert "no more than about 6.9 nats a demonstration" in warning
 
     def test_a_floored_hypothesis_that_is_struck_out_is_no_matter(self) -> None:
         chances = [0.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0, 0.2, 0.0]

@@ -104,29 +104,38 @@ class Evidence:
         return 1.0 - self.summary.avoid_probability
 
     @property
-    def is_floored(self) -> np.ndarray:
-        """[K, H] True where fewer than one trajectory in N avoids a hypothesis.
+    def resolution(self) -> np.ndarray:
+        """[K] the least probability that the samples resolve: one trajectory's share.
 
-        The samples then only say that the ratio is small: its log is given as -log N.
+        1 / N for equal weights, 1 / ESS for importance weights.
         """
-        return self.summary.avoid_probability < 1.0 / self.num_trajectories
+        if self.method == "plain":
+            return np.full(self.num_tasks, 1.0 / self.num_trajectories)
+        return 1.0 / self.effective_sample_size
+
+    @property
+    def is_floored(self) -> np.ndarray:
+        """[K, H] True where less than one trajectory's share avoids a hypothesis.
+
+        The samples then only say that the ratio is small: its log is given as that of the share.
+        """
+        return self.summary.avoid_probability < self.resolution[:, None]
 
     @property
     def log_ratio(self) -> np.ndarray:
-        """[K, H] log(Z_c / Z_0) in nats, at least -log N."""
-        return np.log(np.maximum(self.summary.avoid_probability, 1.0 / self.num_trajectories))
+        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution)."""
+        return np.log(np.maximum(self.summary.avoid_probability, self.resolution[:, None]))
 
     @property
     def standard_error(self) -> np.ndarray:
         """[K, H] standard error of `log_ratio` in nats (delta method).
 
-        At least 1 / ESS, what one more trajectory could change; 1 where the ratio is floored.
+        At least `resolution`, what one more trajectory could change; 1 where the ratio is floored.
         """
-        floor = 1.0 / self.num_trajectories
+        least = self.resolution[:, None]
         relative = np.sqrt(self.summary.avoid_variance) / np.maximum(
-            self.summary.avoid_probability, floor
+            self.summary.avoid_probability, least
         )
-        least = 1.0 / self.effective_sample_size[:, None]
         return np.where(self.is_floored, 1.0, np.maximum(relative, least))
 
     @property

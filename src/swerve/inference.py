@@ -182,8 +182,9 @@ class Inference:
             return []
         message = (
             f"hypothesis {self.leaders[floored][0]} is entered by almost every nominal trajectory "
-            f"of a task: its score is a lower bound, at most log N = "
-            f"{math.log(self.evidence.num_trajectories):.1f} nats a demonstration"
+            f"of a task: the samples tell no more than about "
+            f"{-math.log(self.evidence.resolution[used].min()):.1f} nats a demonstration, and its "
+            "true score may be higher"
         )
         return [message]
 
