@@ -57,7 +57,7 @@ def start_up() -> dict[str, float]:
         return lambda: subprocess.run([sys.executable, "-c", code], check=True)
 
     bare = seconds(process("pass"), 10)
-    return {"import swerve [ms]": 1e3 * (seconds(process("import swerve"), 10) - bare)}
+    return {"import swerve (ms)": 1e3 * (seconds(process("import swerve"), 10) - bare)}
 
 
 def stored_inference() -> dict[str, float]:
@@ -73,7 +73,7 @@ def stored_inference() -> dict[str, float]:
 
         infer(*solver, "--samples", "10000")
         best = seconds(infer)
-    return {f"swerve infer, {len(files)} stored tasks [s]": best}
+    return {f"swerve infer, {len(files)} stored tasks (s)": best}
 
 
 def judging() -> dict[str, float]:
@@ -90,7 +90,7 @@ def judging() -> dict[str, float]:
         for between in (False, True):
             best = seconds(lambda h=hypotheses, b=between: h.violations(states, space, b), 3)
             where = "and between" if between else "alone"
-            figures[f"judging, {cells**2} cells, states {where} [us/trajectory]"] = 1e3 * best
+            figures[f"judging, {cells**2} cells, states {where} (us/trajectory)"] = 1e3 * best
     return figures
 
 
@@ -124,7 +124,7 @@ def rollouts() -> dict[str, float]:
         one(0)
         with ThreadPoolExecutor(workers) as pool:
             best = seconds(lambda c=chunks, o=one: list(pool.map(o, range(c))), 3)
-        figures[f"rollouts, {name} policy [steps/s]"] = chunks * CHUNK * 300 / best
+        figures[f"rollouts, {name} policy (steps/s)"] = chunks * CHUNK * 300 / best
     return figures
 
 
@@ -135,7 +135,7 @@ def training() -> dict[str, float]:
     iterations = settings.chunk_iterations
     state = jax.block_until_ready(trainer.run(trainer.initial_state(), iterations))
     best = seconds(lambda: jax.block_until_ready(trainer.run(state, iterations)), 4)
-    return {"PPO, learning included [steps/s]": settings.chunk_steps / best}
+    return {"PPO, learning included (steps/s)": settings.chunk_steps / best}
 
 
 def stable_baselines() -> dict[str, float]:
@@ -147,8 +147,8 @@ def stable_baselines() -> dict[str, float]:
 
     result = measure()
     return {
-        "Stable-Baselines3 PPO, 8 environments [steps/s]": result["training_steps_per_second"],
-        "Stable-Baselines3 rollouts, 100 environments [steps/s]": result[
+        "Stable-Baselines3 PPO, 8 environments (steps/s)": result["training_steps_per_second"],
+        "Stable-Baselines3 rollouts, 100 environments (steps/s)": result[
             "rollout_steps_per_second"
         ],
     }
