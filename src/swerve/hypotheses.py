@@ -6,7 +6,7 @@ of a state is index arithmetic,
 
     cell_d = floor((x_d - low_d) / width_d),
 
-and a segment is cut where it crosses grid lines, so the cost does not depend on H.
+and a segment enters a cell wherever it crosses a grid line, so the cost does not depend on H.
 
 Shapes: N trajectories, T steps, n state dimensions, d grid dimensions, H hypotheses.
 """
@@ -29,6 +29,8 @@ from swerve.constraints import (
     violates,
 )
 from swerve.space import TWO_PI, StateSpace
+
+BLOCK = 256  # trajectories judged at once: what is worked out for them stays in cache
 
 
 class HypothesisSet(ABC):
@@ -119,8 +121,17 @@ class GridHypotheses(HypothesisSet):
         return _join(axes, [axis.index(axis.position(states)) for axis in axes])
 
     def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
-        """Return packed bits [N, ceil(H / 8)]; the cost does not depend on H."""
-        states = np.asarray(states, np.float64)
+        """Return packed bits [N, ceil(H / 8)]; the cost is that of the lines crossed, not of H."""
+        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        for first in range(0, len(states), BLOCK):
+            block = np.asarray(states[first : first + BLOCK], np.float64)
+            self._judge(bits[first : first + BLOCK], block, space, between_states)
+        return bits
+
+    def _judge(
+        self, bits: np.ndarray, states: np.ndarray, space: StateSpace, between_states: bool
+    ) -> None:
+        """Set the bits of the cells that trajectories [N, T+1, n] enter."""
         axes = self._lines(space)
         indices = [axis.index(axis.position(states)) for axis in axes]
         moved = np.ones(states.shape[:-1], bool)
@@ -131,7 +142,6 @@ class GridHypotheses(HypothesisSet):
             ],
             axis=0,
         )
-        bits = np.zeros((states.shape[0], (len(self) + 7) // 8), np.uint8)
         _set_bits(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
         if between_states:
             trajectory, step = np.nonzero(moved[:, 1:])
@@ -139,33 +149,36 @@ class GridHypotheses(HypothesisSet):
                 states[trajectory, step], states[trajectory, step + 1], space
             )
             _set_bits(bits, trajectory[segment], cell)
-        return bits
 
     def _crossed_cells(
         self, starts: np.ndarray, ends: np.ndarray, space: StateSpace
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (segment, cell) for the cells strictly between the two ends of each segment.
+        """Return (segment, cell) for the cells between the two ends of each segment.
 
-        The grid lines that a segment crosses cut it into pieces; the midpoint of a piece tells
-        its cell. Segments that cross fewer than two lines have no piece between their ends.
+        Wherever a segment crosses a grid line it enters a cell: the line tells its index along one
+        axis, the position there its indices along the others. Segments that cross fewer than two
+        lines have no cell between their ends.
         """
         axes = self._lines(space)
         steps = space.difference(starts, ends)
         spans = [axis.span(starts, ends, steps) for axis in axes]
         many = np.flatnonzero(np.sum([np.abs(last - first) for first, last in spans], axis=0) >= 2)
-        segments, fractions = [], []
-        for axis, (first, last) in zip(axes, spans, strict=True):
-            segment, fraction = axis.crossings(starts[many], steps[many], first[many], last[many])
-            segments.append(segment)
-            fractions.append(fraction)
-        segment, fraction = np.concatenate(segments), np.concatenate(fractions)
-        order = np.lexsort((fraction, segment))
-        segment, fraction = segment[order], fraction[order]
-        # a piece without length is a corner that is touched: not entered, as with boxes
-        same = (segment[1:] == segment[:-1]) & (fraction[1:] > fraction[:-1])
-        middle = (0.5 * (fraction[1:] + fraction[:-1]))[same, None]
-        piece = many[segment[1:][same]]
-        return piece, self.cells(starts[piece] + middle * steps[piece], space)
+        starts, steps = starts[many], steps[many]
+        spans = [(first[many], last[many]) for first, last in spans]
+        segments, cells = [], []
+        for axis, span in zip(axes, spans, strict=True):
+            segment, entered, fraction = axis.crossings(starts, steps, *span)
+            indices = [
+                entered
+                if other is axis
+                else other.index_after(
+                    starts[segment], steps[segment], fraction, first[segment], last[segment]
+                )
+                for other, (first, last) in zip(axes, spans, strict=True)
+            ]
+            segments.append(many[segment])
+            cells.append(_join(axes, indices))
+        return np.concatenate(segments), np.concatenate(cells)
 
     def _lines(self, space: StateSpace) -> list[_Axis]:
         return [
@@ -240,16 +253,43 @@ class _Axis:
 
     def crossings(
         self, starts: np.ndarray, steps: np.ndarray, first: np.ndarray, last: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (segment, fraction of it) of every line crossed from index first to last."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (segment, index entered, fraction of the segment) of every line crossed.
+
+        Args:
+          starts: where the segments begin.
+          steps: how far they go.
+          first: [S] extended indices where they begin.
+          last: [S] extended indices where they end.
+        """
         count = np.abs(last - first)
         segment = np.repeat(np.arange(len(count)), count)
-        order = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        number = np.minimum(first, last)[segment] + 1 + order
+        order = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+        entered = np.minimum(first, last)[segment] + order
+        entered += (last > first)[segment]
+        line = entered + (last < first)[segment]
         position, step = self.position(starts)[segment], steps[segment, self.column]
-        ahead = self.line(number) - position
+        ahead = self.line(line) - position
         fraction = np.divide(ahead, step, out=np.zeros(len(step)), where=step != 0.0)
-        return segment, np.clip(fraction, 0.0, 1.0)
+        return segment, entered, np.clip(fraction, 0.0, 1.0)
+
+    def index_after(
+        self,
+        starts: np.ndarray,
+        steps: np.ndarray,
+        fraction: np.ndarray,
+        first: np.ndarray,
+        last: np.ndarray,
+    ) -> np.ndarray:
+        """Return the extended index just after a fraction of segments from index first to last.
+
+        A line that is met at that very point counts as crossed, so that a corner that is only
+        touched is not entered, as with boxes.
+        """
+        position = self.position(starts) + fraction * steps[:, self.column]
+        index = self.index(position)
+        index -= (last < first) & (self.line(index) >= position)
+        return np.clip(index, np.minimum(first, last), np.maximum(first, last))
 
 
 class ConstraintHypotheses(HypothesisSet):
@@ -337,7 +377,8 @@ def _set_bits(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
     """Set bit cells[k] of row rows[k], leaving out cells of -1."""
     inside = cells >= 0
     rows, cells = rows[inside], cells[inside]
-    np.bitwise_or.at(bits, (rows, cells >> 3), (1 << (cells & 7)).astype(np.uint8))
+    flat = rows * bits.shape[1] + (cells >> 3)
+    np.bitwise_or.at(bits.reshape(-1), flat, np.left_shift(1, cells & 7).astype(np.uint8))
 
 
 def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, int]:
