@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
@@ -11,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from swerve.constraints import (
@@ -22,6 +23,7 @@ from swerve.constraints import (
     constraint_from_json,
     violates,
 )
+from swerve.hypotheses import ConstraintHypotheses, grid
 from swerve.space import TWO_PI, StateSpace
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
@@ -238,6 +240,22 @@ class TestBox:
         assert box.name == "theta [3.14, 3.77), omega [0, 1.2)"
         assert Box(x=(-math.inf, -0.0)).name == "x [-inf, 0)"
 
+    @given(x=st.floats(), width=st.floats(), y=intervals)
+    def test_its_repr_makes_it_again(self, x, width, y) -> None:
+        assume(x < x + width)
+        box = Box(y=y, x=(x, x + width))
+        back = eval(repr(box), {"Box": Box})  # noqa: S307
+        assert list(back.intervals.items()) == list(box.intervals.items())
+
+    def test_repr(self) -> None:
+        box = Box(theta=(3.14, 3.77), omega=(0, 1.2))
+        assert repr(box) == "Box(theta=(3.14, 3.77), omega=(0.0, 1.2))"
+        assert repr(Box(x=(-math.inf, 0.0))) == "Box(x=(float('-inf'), 0.0))"
+        assert repr(Box(**{"x [m]": (0, 1), "y": (0, 2)})) == (
+            "Box(**{'x [m]': (0.0, 1.0), 'y': (0.0, 2.0)})"
+        )
+        assert repr(Box(**{"lambda": (0, 1)})) == "Box(**{'lambda': (0.0, 1.0)})"
+
     def test_no_interval_is_refused(self) -> None:
         with pytest.raises(ValueError, match=r"at least one interval, as in Box\(x=\(0.0, 1.0\)\)"):
             Box()
@@ -270,6 +288,11 @@ class TestPredicate:
         states = np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.6, 0.6], [1.0, 0.0]]])
         np.testing.assert_array_equal(disc.contains(states, PLANE), [[True, False], [True, False]])
         assert disc.name == "disc"
+
+    def test_repr_says_what_was_given_without_addresses(self) -> None:
+        assert repr(Predicate("disc", in_disc)) == "Predicate('disc', in_disc, num_points=8)"
+        bound = functools.partial(in_disc)
+        assert repr(Predicate("a b", bound, 3)) == "Predicate('a b', partial, num_points=3)"
 
     def test_crosses_tries_evenly_spaced_points(self) -> None:
         start, end = np.array([-4.0, 0.0]), np.array([4.0, 0.0])
@@ -339,6 +362,25 @@ class TestViolates:
         np.testing.assert_array_equal(
             violates(box, states, PENDULUM, True), violates(box, finer, PENDULUM, True)
         )
+
+    @pytest.mark.parametrize("between_states", [True, False])
+    def test_a_single_state_is_judged_as_it_is(self, between_states: bool) -> None:
+        states = np.array([[[0.5, 0.5]], [[1.5, 0.5]]])
+        box = Box(x=(0.0, 1.0), y=(0.0, 1.0))
+        same = Predicate("box", lambda states: box.contains(states, PLANE))
+        for constraint in (box, same):
+            found = violates(constraint, states, PLANE, between_states)
+            np.testing.assert_array_equal(found, [True, False])
+            assert violates(constraint, states[0], PLANE, between_states)
+
+    @pytest.mark.parametrize("between_states", [True, False])
+    def test_grid_and_list_agree_on_single_states(self, between_states: bool) -> None:
+        cells = grid(x=(-4.0, 4.0, 5), y=(-2.0, 2.0, 3))
+        boxes = ConstraintHypotheses([cells.constraint(k) for k in range(len(cells))])
+        states = np.random.default_rng(0).uniform(-4.0, 4.0, (200, 1, 2))
+        by_grid, by_list = (h.violations(states, PLANE, between_states) for h in (cells, boxes))
+        np.testing.assert_array_equal(by_grid, by_list)
+        assert 0.3 < np.count_nonzero(by_grid.any(axis=1)) / 200 < 0.7
 
 
 class TestCheckConstraints:

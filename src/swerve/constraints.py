@@ -11,6 +11,7 @@ Shapes: n state dimensions, ... any batch dimensions.
 from __future__ import annotations
 
 import itertools
+import keyword
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -69,6 +70,16 @@ class Box(Constraint):
             if not low < high:
                 raise ValueError(f"Box: expected low < high for {name!r}, got ({low}, {high})")
             self.intervals[name] = (low, high)
+
+    def __repr__(self) -> str:
+        """Return Python that makes this box again, to the last digit."""
+        sides = {
+            name: f"({', '.join(_literal(value) for value in interval)})"
+            for name, interval in self.intervals.items()
+        }
+        if all(name.isidentifier() and not keyword.iskeyword(name) for name in sides):
+            return f"Box({', '.join(f'{name}={side}' for name, side in sides.items())})"
+        return f"Box(**{{{', '.join(f'{name!r}: {side}' for name, side in sides.items())}}})"
 
     @property
     def name(self) -> str:
@@ -141,6 +152,11 @@ class Predicate(Constraint):
         self.function = function
         self.num_points = num_points
 
+    def __repr__(self) -> str:
+        """Return for example "Predicate('disc', in_disc, num_points=8)", without addresses."""
+        function = getattr(self.function, "__name__", type(self.function).__name__)
+        return f"Predicate({self.name!r}, {function}, num_points={self.num_points})"
+
     @property
     def name(self) -> str:
         """The name it was given."""
@@ -188,6 +204,10 @@ def interval_name(name: str, low: float, high: float) -> str:
 
 def _short(value: float) -> str:
     return f"{value:.3g}" if value != 0 else "0"
+
+
+def _literal(value: float) -> str:
+    return repr(value) if math.isfinite(value) else f"float('{value}')"
 
 
 def _missing_function(name: str) -> Callable[[Any], Any]:
@@ -240,7 +260,10 @@ def check_constraints(constraints: Any, space: StateSpace, where: str) -> tuple[
 def violates(
     constraint: Constraint, states: np.ndarray, space: StateSpace, between_states: bool
 ) -> np.ndarray:
-    """Return [...] True where a trajectory [..., T+1, n] enters the constraint."""
-    if between_states:
+    """Return [...] True where a trajectory [..., T+1, n] enters the constraint.
+
+    A single state, T = 0, is a trajectory too: it is judged as it is.
+    """
+    if between_states and states.shape[-2] > 1:
         return constraint.crosses(states[..., :-1, :], states[..., 1:, :], space).any(axis=-1)
     return constraint.contains(states, space).any(axis=-1)
