@@ -85,6 +85,18 @@ class TestStateSpace:
             StateSpace(("x",), ("phi",), np.array([[0.0, 1.0]]))
 
     @pytest.mark.parametrize(
+        ("names", "message"),
+        [
+            (("x", "x"), r"got 'x' more than once in \('x', 'x'\)"),
+            (("x", "v", "x", "w", "v"), "got 'x', 'v' more than once in"),
+        ],
+    )
+    def test_a_name_for_two_states_is_refused(self, names: tuple[str, ...], message: str) -> None:
+        bounds = np.tile([0.0, 1.0], (len(names), 1))
+        with pytest.raises(ValueError, match=f"a name of its own for each state, {message}"):
+            StateSpace(names, (), bounds)
+
+    @pytest.mark.parametrize(
         ("bounds", "shape"),
         [([[0.0, 1.0]], r"\(1, 2\)"), ([0.0, 1.0], r"\(2,\)"), ([[0.0], [1.0]], r"\(2, 1\)")],
     )

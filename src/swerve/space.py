@@ -49,7 +49,7 @@ class StateSpace:
     """Names, angles and bounds of the states of an MDP.
 
     Attributes:
-      names: the n state names, also the columns of demonstration files.
+      names: the n state names, each its own, also the columns of demonstration files.
       angles: those of the names that wrap at 2 pi [rad].
       bounds: [n, 2] where states are expected, in the states' own units.
     """
@@ -59,6 +59,12 @@ class StateSpace:
     bounds: np.ndarray
 
     def __post_init__(self) -> None:
+        twice = [name for name in dict.fromkeys(self.names) if self.names.count(name) > 1]
+        if twice:
+            raise ValueError(
+                f"expected a name of its own for each state, got {', '.join(map(repr, twice))} "
+                f"more than once in {self.names}"
+            )
         bounds = np.asarray(self.bounds, dtype=float)
         if bounds.shape != (len(self.names), 2):
             raise ValueError(
