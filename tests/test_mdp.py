@@ -52,6 +52,52 @@ class Height(Bare):
         return states[-1:, 1]
 
 
+class OfClass(Bare):
+    goal_names = ("height",)
+
+
+class OfField(Bare):
+    goal_names: tuple[str, ...] = eqx.field(default=("height",), static=True)
+
+
+class OfArgument(Bare):
+    goal_names: tuple[str, ...] = eqx.field(kw_only=True, static=True)
+
+
+class OfInit(Bare):
+    goal_names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self) -> None:
+        self.goal_names = ("height",)
+
+
+class Higher(OfField):
+    climb: float = 1.0
+
+
+class TestGoalNames:
+    @pytest.mark.parametrize(
+        "mdp",
+        [OfClass(), OfField(), OfArgument(goal_names=("height",)), OfInit(), Height(), Higher()],
+    )
+    def test_may_be_given_in_any_way(self, mdp: MDP) -> None:
+        """Pyright, which `make test` runs, accepts them all too."""
+        assert mdp.goal_names == ("height",)
+        assert Problem(mdp, ANGLES).record.goal_names == ("height",)
+
+    def test_a_field_may_be_chosen_when_it_is_made(self) -> None:
+        assert OfField(goal_names=("p", "q")).goal_names == ("p", "q")
+        make: Any = OfArgument
+        with pytest.raises(TypeError, match="goal_names"):
+            make()
+
+    def test_are_those_of_the_states_unless_given(self) -> None:
+        assert Bare().goal_names == ("theta", "speed")
+        assert Cart().goal_names == ("x", "v")
+        with pytest.raises(AttributeError, match=r"Bare\.goal_names is known of an instance alone"):
+            _ = Bare.goal_names
+
+
 class TestDefaults:
     def test_episodes_go_on_to_the_horizon_and_end_without_reward(self) -> None:
         mdp, state = Bare(), jnp.array([1.0, 2.0])

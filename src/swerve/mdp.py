@@ -25,6 +25,19 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from swerve.space import StateSpace, Task
 
 
+class _StateNames:
+    """What `goal_names` is unless overridden: the names of the states.
+
+    No property, which would have fields of subclasses fail: it has no default to offer them, and
+    what an instance holds goes first.
+    """
+
+    def __get__(self, mdp: Any, owner: type) -> tuple[str, ...]:
+        if mdp is None:
+            raise AttributeError(f"{owner.__name__}.goal_names is known of an instance alone")
+        return mdp.state_names
+
+
 class MDP(eqx.Module):
     """What a demonstrator can do and wants; subclass it for your own system.
 
@@ -38,7 +51,8 @@ class MDP(eqx.Module):
       dt: duration of a step [s].
       num_steps: T, the horizon.
       bounds: [n, 2] where states are expected; grids, checks and random states use it.
-      angles: those of the states that wrap at 2 pi [rad].
+      angles: those of the states that wrap at 2 pi [rad]; none unless set.
+      goal_names: the g names of the goal's components; those of the states unless set.
     """
 
     if TYPE_CHECKING:  # for a type checker: anything that provides the value will do
@@ -49,6 +63,7 @@ class MDP(eqx.Module):
         num_steps: Any = eqx.field(init=False)
         bounds: Any = eqx.field(init=False)
         angles: Any = eqx.field(init=False)
+        goal_names: Any = eqx.field(init=False)
     else:
         state_names: eqx.AbstractVar[tuple[str, ...]]
         action_names: eqx.AbstractVar[tuple[str, ...]]
@@ -57,6 +72,7 @@ class MDP(eqx.Module):
         num_steps: eqx.AbstractVar[int]
         bounds: eqx.AbstractVar[Sequence[Sequence[float]]]
         angles = ()
+        goal_names = _StateNames()
 
     @abc.abstractmethod
     def dynamics(self, state: Float[Array, " n"], action: Float[Array, " m"]) -> Float[Array, " n"]:
@@ -81,11 +97,6 @@ class MDP(eqx.Module):
     def terminated(self, state: Float[Array, " n"], goal: Float[Array, " g"]) -> Bool[Array, ""]:
         """Return whether the episode ends on reaching this state; never unless overridden."""
         return jnp.zeros((), bool)
-
-    @property
-    def goal_names(self) -> tuple[str, ...]:
-        """The g names of the goal's components: those of the states unless overridden."""
-        return self.state_names
 
     def goal_of(self, states: Float[np.ndarray, "L n"]) -> Float[np.ndarray, " g"]:
         """Return the goal of a finished demonstration that names none: its last state."""
