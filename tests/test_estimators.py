@@ -366,19 +366,32 @@ class TestProperties:
         assert estimate.avoid_probability[0] == pytest.approx(0.75, abs=1e-9)
 
 
+WEIGHING = [
+    normalise,
+    effective_sample_size,
+    log_partition,
+    lambda log_weight: kl_divergence(log_weight, 0.0),
+]
+
+
 class TestRefused:
     def test_rows_and_weights_of_different_number(self) -> None:
         message = "one row of violations a log-weight, got 4 rows and 3 weights"
         with pytest.raises(ValueError, match=message):
             avoid_probability(np.zeros(3), np.zeros((4, 1), np.uint8), 5)
 
-    @pytest.mark.parametrize("estimate", [normalise, effective_sample_size])
+    @pytest.mark.parametrize("estimate", WEIGHING)
     def test_nothing_left_to_weigh(self, estimate) -> None:
         message = "all 7 sampled trajectories enter a known constraint: nothing is left to weigh"
         with pytest.raises(ValueError, match=message):
             estimate(np.full(7, -np.inf))
         with pytest.raises(ValueError, match=message):
             avoid_probability(np.full(7, -np.inf), np.zeros((7, 1), np.uint8), 5)
+
+    @pytest.mark.parametrize("estimate", WEIGHING)
+    def test_weights_that_are_nan(self, estimate) -> None:
+        with pytest.raises(ValueError, match="2 of 4 log-weights are NaN"):
+            estimate(np.array([0.0, np.nan, -np.inf, np.nan]))
 
 
 class TestHoeffding:

@@ -73,26 +73,26 @@ def normalise(log_weight: np.ndarray) -> np.ndarray:
     Raises:
       ValueError: if a log-weight is NaN, or every one is -inf.
     """
-    largest = log_weight.max()
-    if np.isnan(largest):
-        raise ValueError(f"{np.isnan(log_weight).sum()} of {log_weight.size} log-weights are NaN")
-    if np.isneginf(largest):
-        raise ValueError(
-            f"all {log_weight.size} sampled trajectories enter a known constraint: nothing is left "
-            "to weigh; check the known constraints and the starts, or use a better policy"
-        )
-    weight = np.exp(log_weight - largest)
+    weight = np.exp(log_weight - _largest(log_weight))
     return weight / weight.sum()
 
 
 def log_partition(log_weight: np.ndarray) -> float:
-    """Return the estimate of log Z_0 [nats] from log-weights [N]."""
-    largest = log_weight.max()
+    """Return the estimate of log Z_0 [nats] from log-weights [N].
+
+    Raises:
+      ValueError: if a log-weight is NaN, or every one is -inf.
+    """
+    largest = _largest(log_weight)
     return float(largest + np.log(np.mean(np.exp(log_weight - largest))))
 
 
 def effective_sample_size(log_weight: np.ndarray) -> float:
-    """Return (sum w)^2 / sum w^2, between 1 and N."""
+    """Return (sum w)^2 / sum w^2, between 1 and N.
+
+    Raises:
+      ValueError: if a log-weight is NaN, or every one is -inf.
+    """
     return float(1.0 / np.sum(normalise(log_weight) ** 2))
 
 
@@ -105,7 +105,11 @@ def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:
     Args:
       log_weight: [N] of trajectories drawn from pi.
       log_partition: log Z_0; exact for a measurement, estimated for an alarm.
+
+    Raises:
+      ValueError: if a log-weight is NaN, or every one is -inf.
     """
+    _largest(log_weight)
     allowed = log_weight[np.isfinite(log_weight)]
     return float(log_partition - allowed.mean() - math.log(len(allowed) / len(log_weight)))
 
@@ -166,6 +170,19 @@ def hoeffding_sample_size(error: float, confidence: float = 0.95) -> int:
     if not 0.0 < error < 1.0:
         raise ValueError(f"error: expected a number between 0 and 1, got {error}")
     return math.ceil(math.log(2.0 / _miss_probability(confidence)) / (2.0 * error**2))
+
+
+def _largest(log_weight: np.ndarray) -> float:
+    """Return the largest log-weight, after checking that there is something to weigh."""
+    largest = float(log_weight.max())
+    if math.isnan(largest):
+        raise ValueError(f"{np.isnan(log_weight).sum()} of {log_weight.size} log-weights are NaN")
+    if largest == -math.inf:
+        raise ValueError(
+            f"all {log_weight.size} sampled trajectories enter a known constraint: nothing is left "
+            "to weigh; check the known constraints and the starts, or use a better policy"
+        )
+    return largest
 
 
 def _miss_probability(confidence: float) -> float:
