@@ -1,14 +1,19 @@
 from __future__ import annotations
 
+import functools
+import importlib
 import itertools
 import json
 import os
+import re
 import subprocess
 import sys
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -52,6 +57,45 @@ def cells():
 """
 
 
+HINTED = {
+    "hinted_base": """
+from __future__ import annotations
+import dataclasses
+from typing import TYPE_CHECKING
+if TYPE_CHECKING:
+    from nowhere import Unknown
+Length = float
+
+@dataclasses.dataclass
+class Base:
+    a: Length | None = None
+    b: int = 1
+    c: Unknown = 0.5
+    d: Unknown | None = None
+""",
+    "hinted_robot": """
+from __future__ import annotations
+import dataclasses
+from typing import TYPE_CHECKING
+from hinted_base import Base
+if TYPE_CHECKING:
+    from nowhere import Unknown
+Extent = float
+
+@dataclasses.dataclass
+class Made(Base):
+    e: Unknown = None
+
+class Written:
+    def __init__(self, a: Extent, b: int = 1, c: Unknown = 0.5, d: Unknown | None = None) -> None:
+        self.a, self.b, self.c, self.d = a, b, c, d
+
+def make(a: Extent, b: int = 1, c: Unknown = 0.5, d: Unknown | None = None) -> Unknown:
+    return Written(a, b, c, d)
+""",
+}
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with a problem that imports its neighbours; imports are forgotten afterwards."""
@@ -64,6 +108,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     for name, module in list(sys.modules.items()):
         if name not in known and str(tmp_path) in str(getattr(module, "__file__", "")):
             del sys.modules[name]
+
+
+def alone(name: str) -> str:
+    """A problem without neighbours, whose class has this name."""
+    text = ROBOT.replace("from helper import cells", "cells = swerve.grid(theta=(0.0, 6.0, 3))")
+    return text.replace("Cart", name)
 
 
 class TestParse:
@@ -96,7 +146,7 @@ class TestCanonical:
     def test_order_and_ways_to_write_numbers_do_not_matter(self) -> None:
         texts = [
             f"pendulum?{a}&{b}"
-            for values in (("beta=0.67", "max_torque=10"), ("max_torque=1e1", "beta=.670"))
+            for values in (("beta=0.67", "max_torque=10"), ("max_torque=1e1", "beta=.67"))
             for a, b in itertools.permutations(values)
         ]
         assert {str(Specification.parse(text)) for text in texts} == {
@@ -109,9 +159,33 @@ class TestCanonical:
         assert float(text.removeprefix("p?a=")) == number
         assert str(Specification.parse(text)) == text
 
-    @pytest.mark.parametrize("value", ["uniform", "True", "nan", "-inf", "64 64", "1,5"])
+    @pytest.mark.parametrize("value", ["uniform", "True", "nan", "-inf", "64 64", "1,5", "1e999"])
     def test_other_texts_stay_as_they_are(self, value: str) -> None:
         assert str(Specification.parse(f"p?a={value}")) == f"p?a={value}"
+
+    @pytest.mark.parametrize(
+        "texts",
+        [
+            ["7", "007", "+7", "7.", " 7", "7_0", "70"],
+            ["1.1", "1.10", "01.1"],  # versions, say
+            ["9007199254740992", "9007199254740993", "0.1", "0.10000000000000001"],
+            ["0", "00", "1e-400", "-0"],
+            ["\u0667", "7"],  # an Arabic digit, which float() reads
+        ],
+    )
+    def test_what_may_be_different_texts_stays_different(self, texts: list[str]) -> None:
+        assert len({canonical_problem(f"robot.py:make?a={text}") for text in texts}) == len(texts)
+
+    @pytest.mark.parametrize(
+        "texts",
+        [
+            ["10", "10.0", "1e1", "1E+01", "1.0e1", ".1e2"],
+            ["-0.25", "-.25", "-25e-2"],
+            ["100000000000000000000", "1e20", "1e+20"],
+        ],
+    )
+    def test_plain_numbers_are_written_one_way(self, texts: list[str]) -> None:
+        assert len({canonical_problem(f"robot.py:make?a={text}") for text in texts}) == 1
 
     def test_different_values_stay_different(self) -> None:
         texts = ["p?a=1", "p?a=2", "p?b=1", "q?a=1", "p", "p?a=x", "p?a=1&b=1"]
@@ -128,9 +202,17 @@ class TestCanonical:
 
 class TestBuild:
     @staticmethod
-    def call(function: Callable[..., object], query: str) -> object:
+    def call(function: Callable[..., object], query: str) -> Any:
         text = f"p?{query}"
         return build(function, Specification.parse(text), text)
+
+    @staticmethod
+    def module(monkeypatch: pytest.MonkeyPatch, name: str) -> Any:
+        """A module whose names its own globals alone tell."""
+        module = types.ModuleType(name)
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(HINTED[name], vars(module))
+        return module
 
     def test_converts_to_the_types_of_the_signature(self) -> None:
         def function(
@@ -157,6 +239,50 @@ class TestBuild:
             0,
             "x",
         )
+
+    def test_parameters_without_an_annotation_have_the_type_of_their_default(self) -> None:
+        half = np.float64(0.5)
+
+        def function(a, b=True, c=3, d=0.5, e="x", f=None, g=half):
+            return a, b, c, d, e, f, g
+
+        found = self.call(function, "a=1&b=false&c=2e3&d=1&e=1&f=1&g=1")
+        assert found == ("1", False, 2000, 1.0, "1", "1", 1.0)
+        assert isinstance(found, tuple)
+        assert [type(x) for x in found] == [str, bool, int, float, str, str, float]
+
+    def test_so_have_those_whose_annotation_names_no_such_type(self) -> None:
+        def function(a: Any = 0.5, b: Literal[1, 2] = 1, c: list | None = None, d: object = "x"):
+            return a, b, c, d
+
+        assert self.call(function, "a=1&b=2&c=3&d=4") == (1.0, 2, "3", "4")
+
+    @pytest.mark.parametrize(
+        ("query", "message"),
+        [
+            ("a=1.5", r"expected int, got '1.5': its default is 3, so annotate it as float if"),
+            ("b=1", r"expected bool, got '1': its default is True$"),
+            ("c=x", r"expected float, got 'x': its default is 0.5$"),
+        ],
+    )
+    def test_a_value_that_is_not_of_the_type_of_the_default(self, query: str, message: str) -> None:
+        def function(a=3, b=True, c=0.5) -> None: ...
+
+        with pytest.raises(ValueError, match=rf"'p\?{query}': parameter '{query[0]}': {message}"):
+            self.call(function, query)
+
+    def test_annotations_for_type_checkers_alone_do_not_matter(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Each is resolved on its own, in the module of the function or of the class's bases."""
+        _, robot = (self.module(monkeypatch, name) for name in HINTED)
+        for name in ("make", "Made", "Written"):
+            found = self.call(getattr(robot, name), "a=1&b=2&c=3&d=4")
+            assert (found.a, found.b, found.c, found.d) == (1.0, 2, 3.0, "4"), name
+            assert [type(x) for x in (found.a, found.b, found.c)] == [float, int, float], name
+            with pytest.raises(ValueError, match=r"parameter 'b': expected int, got '2\.5'$"):
+                self.call(getattr(robot, name), "b=2.5")
+        assert self.call(functools.partial(robot.make, c=1.0), "a=1").a == 1.0
 
     def test_builds_classes(self) -> None:
         found = self.call(Specification, "target=a&parameters=b")
@@ -245,6 +371,58 @@ class TestLoadProblem:
         assert load_problem("garage.cart:problem").beta == 0.5
         assert load_problem("garage.cart:make?max_torque=3").mdp.max_torque == 3.0
 
+    def test_files_of_one_name_are_kept_apart(self, folder: Path) -> None:
+        files = [folder / "robot.py", folder / "other" / "robot.py"]
+        files[1].parent.mkdir()
+        for file, name in zip(files, ("Cart", "Truck"), strict=True):
+            file.write_text(alone(name))
+        problems = [load_problem(f"{file}:problem") for file in files]
+        modules = [sys.modules[type(problem.mdp).__module__] for problem in problems]
+        assert [module.__file__ for module in modules] == [str(file.resolve()) for file in files]
+        assert [hasattr(module, "Cart") for module in modules] == [True, False]
+        assert set(source_hashes(problems[0])) >= {str(file.resolve()) for file in files}
+
+    @pytest.mark.parametrize(
+        ("name", "neighbour"),
+        [
+            ("helper", "helper.py"),
+            ("shapes", "shapes/__init__.py"),
+            ("parts.wheel", "parts/wheel.py"),
+        ],
+    )
+    def test_a_neighbour_called_like_one_of_another_folder_is_refused(
+        self, folder: Path, name: str, neighbour: str
+    ) -> None:
+        """Python would give the second file the first one's neighbour, without a word."""
+        (folder / "parts").mkdir()
+        (folder / "parts" / "__init__.py").write_text("")
+        (folder / "parts" / "wheel.py").write_text("size = 1")
+        (folder / "robot.py").write_text(ROBOT + "import parts.wheel\n")
+        load_problem(f"{folder}/robot.py:problem")
+        other = folder / "other"
+        (other / neighbour).parent.mkdir(parents=True)
+        (other / neighbour).write_text("")
+        (other / "cart.py").write_text(f"import {name}\n")
+        first = folder.joinpath(*name.split(".")).with_suffix(".py")
+        message = (
+            f"{other}/cart.py: `import {name}` would not give its neighbour {other / neighbour} "
+            f"but {first}, which is imported already: rename one of the two, or use the two in "
+            "separate processes"
+        )
+        with pytest.raises(ValueError, match=re.escape(message)):
+            load_problem(f"{other}/cart.py:problem")
+
+    def test_other_names_and_the_same_folder_again_are_no_clash(self, folder: Path) -> None:
+        load_problem(f"{folder}/robot.py:problem")
+        other = folder / "other"
+        other.mkdir()
+        for name in ("numpy", "swerve", "__main__"):
+            (other / f"{name}.py").write_text("")
+        (other / "helper_of_another_name.py").write_text("")
+        (other / "shapes.py").write_text(alone("Truck"))  # itself called like a neighbour
+        assert load_problem(f"{other}/shapes.py:problem").beta == 0.5
+        assert load_problem(f"{folder}/robot.py:problem").beta == 0.5
+
     @pytest.mark.parametrize(
         ("text", "message"),
         [
@@ -308,6 +486,17 @@ class TestSourceHashes:
         (folder / "shapes.py").write_text(SHAPES.replace("3)", "4)"))
         after = source_hashes(load_problem(f"{folder}/robot.py:problem"))
         assert {path for path in before if before[path] != after[path]} == {shapes}
+
+    def test_are_of_whatever_is_imported(self, folder: Path) -> None:
+        """A module that the problem does not use is among them, a script is not."""
+        problem = load_problem(f"{folder}/robot.py:problem")
+        (folder / "unrelated.py").write_text("")
+        assert str(folder / "unrelated.py") not in source_hashes(problem)
+        importlib.invalidate_caches()
+        importlib.import_module("unrelated")
+        found = source_hashes(problem)
+        assert str(folder / "unrelated.py") in found
+        assert not any(path.endswith("__main__.py") for path in found)
 
     def test_exclude_installed_packages(self, folder: Path) -> None:
         found = source_hashes(load_problem(f"{folder}/robot.py:problem"))

@@ -1,25 +1,32 @@
 """Texts that name a thing and its parameters: "pendulum?max_torque=10", "robot.py:problem".
 
 A specification is a target and parameters, `target?name=value&name=value`. Parameters are
-converted to the types that the target's signature gives them.
+converted to the types that the target's signature gives them, by annotations or else by defaults.
 """
 
 from __future__ import annotations
 
+import builtins
 import hashlib
 import importlib
 import importlib.util
 import inspect
-import math
+import re
 import sys
 import sysconfig
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import Decimal
+from functools import cache
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, get_args, get_type_hints
 
 SHIPPED = {"pendulum": "swerve.systems.pendulum:pendulum"}
+# 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may well be texts
+PLAIN_NUMBER = re.compile(
+    r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -53,9 +60,12 @@ class Specification:
 
 
 def canonical_problem(text: str) -> str:
-    """Return a text that is the same for all ways to write the same problem specification.
+    """Return a text that is the same only for ways to write the same problem specification.
 
-    Files are made absolute, parameters sorted, numbers written one way.
+    Files are made absolute, parameters sorted, and plain numbers written one way: 10, 10.0 and 1e1.
+    No code is loaded, so which parameters are numbers is not known: what is more likely a text, or
+    has more digits than a float (007, 1.10, 1_000), stays as it is. Taking one problem for two
+    costs a message; taking two for one would be a wrong answer.
     """
     specification = Specification.parse(text)
     path, colon, name = specification.target.rpartition(":")
@@ -104,11 +114,13 @@ def load_problem(text: str) -> Any:
 def build(function: Callable[..., Any], specification: Specification, text: str) -> Any:
     """Call a function or class with a specification's parameters, converted to its types.
 
+    A parameter whose annotation is missing, or names something that exists for type checkers
+    alone, has the type of its default, or else is a text.
+
     Raises:
       ValueError: if it takes no such parameter, or a value is not of its type.
     """
     known = inspect.signature(function).parameters
-    hints = get_type_hints(function)
     arguments = {}
     for name, value in specification.parameters:
         if name not in known:
@@ -116,7 +128,7 @@ def build(function: Callable[..., Any], specification: Specification, text: str)
                 f"{text!r}: no parameter {name!r}; there are {', '.join(known) or 'none'}"
             )
         try:
-            arguments[name] = _convert(value, hints.get(name, str))
+            arguments[name] = _convert(value, function, known[name])
         except ValueError as error:
             raise ValueError(f"{text!r}: parameter {name!r}: {error}") from None
     missing = [
@@ -132,19 +144,22 @@ def build(function: Callable[..., Any], specification: Specification, text: str)
 
 
 def source_hashes(problem: Any) -> dict[str, str]:
-    """Return the hash of every source file outside installed packages that a problem came from.
+    """Return the hash of every source file that a problem may have come from.
 
-    These are the files of all imported modules that are neither Swerve's nor installed, and of the
-    classes that the MDP is made of.
+    These are the `.py` files, none of them installed or of the standard library, of
+
+    - all modules that are imported at this moment, whether or not the problem uses them, except
+      Swerve's own and the script that Python was started with;
+    - the modules that define the classes of the MDP, also if they are that script or Swerve's.
+
+    Data files, compiled modules and what is imported later are not among them.
     """
-    modules = [
-        module
-        for name, module in sys.modules.items()
-        if name != "__main__" and name.partition(".")[0] != "swerve"
-    ]
-    modules += [sys.modules[base.__module__] for base in type(problem.mdp).__mro__]
-    files = {Path(str(module.__file__)) for module in modules if getattr(module, "__file__", None)}
-    return {str(path): file_hash(path) for path in sorted(files) if _is_user_source(path)}
+    files = set(_user_modules().values())
+    for base in type(problem.mdp).__mro__:
+        file = getattr(sys.modules[base.__module__], "__file__", None)
+        if file and _is_user_source(Path(file)):
+            files.add(Path(file))
+    return {str(path): file_hash(path) for path in sorted(files)}
 
 
 def file_hash(path: Path) -> str:
@@ -155,23 +170,38 @@ def file_hash(path: Path) -> str:
         return "missing"
 
 
+def _user_modules() -> dict[str, Path]:
+    """Return the files of imported modules that are neither Swerve's, installed nor `__main__`."""
+    files = {
+        name: Path(file)
+        for name, module in list(sys.modules.items())
+        for file in [getattr(module, "__file__", None)]
+        if file and name != "__main__" and name.partition(".")[0] != "swerve"
+    }
+    return {name: path for name, path in files.items() if _is_user_source(path)}
+
+
 def _is_user_source(path: Path) -> bool:
-    installed = [
-        sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")
-    ]
     return (
         path.suffix == ".py"
         and not {"site-packages", "dist-packages"} & set(path.parts)  # of users, of Debian
-        and not any(path.is_relative_to(folder) for folder in installed)
+        and not any(path.is_relative_to(folder) for folder in _installed())
     )
+
+
+@cache
+def _installed() -> list[str]:
+    return [sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
 
 
 def _load_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ValueError(f"{path}: no such file")
     path = path.resolve()
+    _check_neighbours(path)
     sys.path.insert(0, str(path.parent))  # so that it can import its neighbours
-    name = f"swerve_problem_{path.stem}"  # never the name of an installed module
+    # never the name of an installed module, nor of a file of this name in another folder
+    name = f"swerve_problem_{path.stem}_{hashlib.sha256(bytes(path)).hexdigest()[:8]}"
     specification = importlib.util.spec_from_file_location(name, path)
     assert specification is not None
     assert specification.loader is not None
@@ -179,6 +209,27 @@ def _load_file(path: Path) -> ModuleType:
     sys.modules[name] = module
     specification.loader.exec_module(module)
     return module
+
+
+def _check_neighbours(path: Path) -> None:
+    """Raise ValueError where a file would get another folder's module in place of its neighbour.
+
+    Python keeps one module of a name. To put the neighbour in its place would only turn the mistake
+    round, since functions of the file loaded first may import it as late as when they are called.
+    """
+    for name, loaded in _user_modules().items():
+        stem = path.parent.joinpath(*name.split("."))
+        for neighbour in (stem.with_suffix(".py"), stem / "__init__.py"):
+            if neighbour != path and neighbour.is_file() and not _same(neighbour, loaded):
+                raise ValueError(
+                    f"{path}: `import {name}` would not give its neighbour {neighbour} but "
+                    f"{loaded}, which is imported already: rename one of the two, or use the two "
+                    "in separate processes"
+                )
+
+
+def _same(a: Path, b: Path) -> bool:
+    return a.resolve() == b.resolve()
 
 
 def _load_module(name: str, text: str) -> ModuleType:
@@ -190,15 +241,47 @@ def _load_module(name: str, text: str) -> ModuleType:
         raise ValueError(f"{text!r}: {error}") from error
 
 
-def _convert(value: str, hint: Any) -> Any:
-    """Convert a text to the type that a signature asks for; of several, the first that fits."""
-    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind in (bool, int, float, str)]
+def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
+    """Convert a text to the type of a parameter; of several, the first that fits."""
+    hint, remark = _annotation(function, parameter), ""
+    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind in list(_CONVERSIONS)]
+    if not kinds:
+        kinds = [kind for kind in _CONVERSIONS if isinstance(parameter.default, kind)][:1]
+        remark = f": its default is {parameter.default!r}"
+        if kinds == [int]:
+            remark += ", so annotate it as float if it may have fractions"
     for kind in kinds or [str]:
         try:
             return _CONVERSIONS[kind](value)
         except ValueError:
             continue
-    raise ValueError(f"expected {' or '.join(kind.__name__ for kind in kinds)}, got {value!r}")
+    expected = " or ".join(kind.__name__ for kind in kinds)
+    raise ValueError(f"expected {expected}, got {value!r}{remark}")
+
+
+def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
+    """Return a parameter's annotation, or None where there is none or it cannot be resolved.
+
+    Each is resolved on its own: one that names what is imported for type checkers alone leaves the
+    others as they are.
+    """
+    if parameter.annotation is parameter.empty:
+        return None
+    holder = SimpleNamespace(__annotations__={"it": parameter.annotation})
+    for namespace in _namespaces(function):
+        try:
+            return get_type_hints(holder, namespace)["it"]
+        except Exception:  # whatever a user's annotation may raise
+            continue
+    return None
+
+
+def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
+    """Return where the names in a signature may be defined; a class inherits its bases' fields."""
+    if isinstance(function, type):
+        return [vars(sys.modules.get(base.__module__, builtins)) for base in function.__mro__]
+    inner = getattr(function, "func", function)  # of functools.partial
+    return [getattr(inspect.unwrap(inner), "__globals__", {})]
 
 
 def _bool(value: str) -> bool:
@@ -223,8 +306,7 @@ _CONVERSIONS: dict[type, Callable[[str], Any]] = {
 
 
 def _canonical(value: str) -> str:
-    try:
-        number = float(value)
-    except ValueError:
+    if not PLAIN_NUMBER.fullmatch(value):
         return value
-    return repr(number) if math.isfinite(number) else value
+    number = repr(float(value))
+    return number if Decimal(number) == Decimal(value) else value
