@@ -8,8 +8,9 @@ unconstrained trajectory of its task enters each of the 100 cells of the pendulu
 states alone. For every such file three tables are printed:
 
 1. accuracy: the largest error over cells, at the worst and at the median task, for equal and for
-   importance weights; ESS as a share of N; KL(pi || pi_0) [nats] with log Z_0 from the grid solver;
-   wall time to learn and sample [s];
+   importance weights; ESS as a share of N; KL(pi || pi_0) [nats] with log Z_0 from the grid solver
+   at its default resolution, whatever solver is measured; wall time to learn and sample [s], or
+   "stored" (null in JSON) where --work held results of the solver, so that it says nothing;
 2. the ranking by all demonstrations, in nats, beside the one from the exact probabilities;
 3. the rank of the true cell (--truth) against the number of demonstrations, averaged over random
    subsets, ties counted half, and how often it is first. Whether a cell is entered by no trajectory
@@ -27,6 +28,7 @@ import sys
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 from rich.console import Console
@@ -36,8 +38,8 @@ from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, samp
 from swerve.estimators import kl_divergence
 from swerve.evidence import summarise
 from swerve.inference import SCORES
-from swerve.specification import load_problem
-from swerve.work import SampleSettings, Work
+from swerve.specification import Specification, load_problem
+from swerve.work import RESULTS, SampleSettings, Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
 NUM_SUBSETS = 2_000
@@ -48,7 +50,7 @@ CURVE_STYLES: dict[str, dict[str, Any]] = {
     "exact file above noise": {"ls": "-", "lw": 1.2},
     "Swerve above noise": {"ls": "", "marker": "o", "fillstyle": "none"},
 }
-NUM_REFERENCE = 2_000  # trajectories for the reference log Z_0 of a solver other than the grid
+NUM_REFERENCE = 2_000  # trajectories for log Z_0 where the solver is not the default grid itself
 
 
 class Setting(NamedTuple):
@@ -58,15 +60,15 @@ class Setting(NamedTuple):
       max_torque: of the pendulum.
       exact: [K, H] exact violation probabilities, in the order of the demonstrations.
       evidence: importance-weighted, of the same tasks.
-      exact_log_partition: [K] log Z_0 from the grid solver, nats.
-      seconds: wall time to learn and sample.
+      exact_log_partition: [K] log Z_0 from the grid solver at its default resolution, nats.
+      seconds: wall time to learn and sample; None where results were stored before.
     """
 
     max_torque: float
     exact: np.ndarray
     evidence: Evidence
     exact_log_partition: np.ndarray
-    seconds: float
+    seconds: float | None
 
 
 def measure_setting(
@@ -80,6 +82,7 @@ def measure_setting(
     text = f"pendulum?between_states=false&max_torque={match[1]}"
     tasks = Task.stack([demonstration.task for demonstration in demonstrations])
     folder = arguments.work / path.stem if arguments.work else None
+    stored = holds_results(folder, arguments.solver)
     work = Work(text, folder, progress=True, say=lambda line: print(line, file=sys.stderr))
     began = time.perf_counter()
     evidence = work.evidence(tasks, arguments.solver, SampleSettings(arguments.samples))
@@ -91,8 +94,17 @@ def measure_setting(
         read_exact(path, demonstrations),
         evidence,
         reference_log_partition(text, evidence),
-        seconds,
+        None if stored else seconds,
     )
+
+
+def holds_results(folder: Path | None, solver: str) -> bool:
+    """Return whether a work folder holds anything that this solver has learned or sampled."""
+    if folder is None:
+        return False
+    name = quote(str(Specification.parse(solver)), safe="=")
+    files = [path.name for pattern in RESULTS for path in folder.glob(pattern)]
+    return any(file.startswith(f"{name}.") for file in files)
 
 
 def read_exact(path: Path, demonstrations: list[Any]) -> np.ndarray:
@@ -104,10 +116,10 @@ def read_exact(path: Path, demonstrations: list[Any]) -> np.ndarray:
 
 
 def reference_log_partition(text: str, evidence: Evidence) -> np.ndarray:
-    """Return log Z_0 [K] by the grid solver's importance weights, whose ESS is near N."""
-    if evidence.solver.startswith("Grid("):
-        return evidence.log_partition
+    """Return log Z_0 [K] by importance weights of the default grid, whose ESS is near N."""
     nominal = learn(load_problem(text), Grid())
+    if evidence.solver == repr(nominal.solver):
+        return evidence.log_partition
     return sample(nominal, evidence.tasks, NUM_REFERENCE, progress=True).log_partition
 
 
@@ -220,8 +232,14 @@ def print_rows(title: str, rows: list[dict[str, Any]], console: Console) -> None
     for name in rows[0]:
         table.add_column(name.replace("_", " "), justify="right")
     for row in rows:
-        table.add_row(*(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()))
+        table.add_row(*(_text(value) for value in row.values()))
     console.print(table)
+
+
+def _text(value: Any) -> str:
+    if value is None:  # a time that was not measured
+        return "stored"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def plot_curves(rows: list[dict[str, Any]], path: Path) -> None:
