@@ -36,10 +36,10 @@ from rich.table import Table
 
 from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, sample
 from swerve.estimators import kl_divergence
-from swerve.evidence import summarise
 from swerve.inference import SCORES
+from swerve.samples import summarise
 from swerve.specification import Specification, load_problem
-from swerve.work import RESULTS, SampleSettings, Work
+from swerve.work import RESULTS, Settings, Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
 NUM_SUBSETS = 2_000
@@ -83,9 +83,12 @@ def measure_setting(
     tasks = Task.stack([demonstration.task for demonstration in demonstrations])
     folder = arguments.work / path.stem if arguments.work else None
     stored = holds_results(folder, arguments.solver)
-    work = Work(text, folder, progress=True, say=lambda line: print(line, file=sys.stderr))
+    settings = Settings(arguments.solver, num_trajectories=arguments.samples)
+    work = Work(
+        text, folder, settings, progress=True, say=lambda line: print(line, file=sys.stderr)
+    )
     began = time.perf_counter()
-    evidence = work.evidence(tasks, arguments.solver, SampleSettings(arguments.samples))
+    evidence = work.evidence(tasks)
     seconds = time.perf_counter() - began
     order = [evidence.match(demonstration.task) for demonstration in demonstrations]
     evidence = evidence.select(order)
@@ -134,7 +137,7 @@ def accuracy(setting: Setting) -> list[dict[str, Any]]:
     ]
     rows = []
     for method in ("importance", "plain"):
-        summary = summarise(evidence.problem, evidence.samples, method)
+        summary = summarise(evidence.problem, evidence.tasks, evidence.samples, method)
         error = np.abs(1.0 - summary.avoid_probability - setting.exact).max(axis=1)
         share = evidence.effective_sample_size / evidence.num_trajectories
         rows.append(
@@ -156,7 +159,8 @@ def accuracy(setting: Setting) -> list[dict[str, Any]]:
 def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict[str, Any]]:
     """Return the first five hypotheses and the true one, in nats, beside the exact ones."""
     result = infer(setting.evidence, demonstrations)
-    plain_summary = summarise(setting.evidence.problem, setting.evidence.samples, "plain")
+    evidence = setting.evidence
+    plain_summary = summarise(evidence.problem, evidence.tasks, evidence.samples, "plain")
     floor = 1.0 / setting.evidence.num_trajectories
     plain = -np.log(np.maximum(plain_summary.avoid_probability, floor)).sum(axis=0)
     exact = -np.log(np.maximum(1.0 - setting.exact, SURVIVAL_FLOOR)).sum(axis=0)

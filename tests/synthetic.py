@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from swerve.demonstrations import Demonstration
-from swerve.evidence import Evidence, Samples, summarise
+from swerve.evidence import Evidence
 from swerve.hypotheses import HypothesisSet, grid
 from swerve.problem import ProblemRecord
+from swerve.samples import Samples, summarise
 from swerve.space import TWO_PI, StateSpace, Task
 
 SPACE = StateSpace(("theta", "x"), ("theta",), np.array([[0.0, TWO_PI], [0.0, 10.0]]))
@@ -61,7 +62,7 @@ def make_evidence(
     method: str = "importance",
     **changes,
 ) -> Evidence:
-    """Evidence of samples, summed up as sampling does."""
+    """Evidence of samples, summed up as sampling does; any demonstration looks like them."""
     record = make_record() if record is None else record
     if samples is None:
         samples = make_samples(tasks=tasks, num_hypotheses=len(record.hypotheses))
@@ -72,7 +73,11 @@ def make_evidence(
         "num_trajectories": samples.total_reward.shape[1],
         "solver": "Toy()",
         "seed": 0,
-        "summary": summarise(record, samples, method),
+        "summary": summarise(record, tasks, samples, method)._replace(
+            farthest_end=np.full(len(tasks.start), np.inf),
+            shortest=np.zeros(len(tasks.start)),
+            fastest=np.full(tasks.start.shape, np.inf),
+        ),
         "load_samples": lambda: samples,
     }
     return Evidence(**fields | changes)

@@ -10,8 +10,8 @@ from reference import CART_TASK, enumerate_exactly, short_cart
 
 from swerve import Box, Grid, Task, demonstrate
 from swerve.constraints import violates
-from swerve.demonstrators.boltzmann import draw_tasks
 from swerve.hypotheses import unpack
+from swerve.tasks import draw_tasks
 
 WALL = Box(x=(-0.2, 0.3), v=(-0.9, 0.1))
 GRID = Grid(num_points=81)
@@ -36,7 +36,7 @@ def test_demonstrations_follow_the_constrained_distribution() -> None:
 
 def test_a_demonstration_is_what_the_dynamics_make_of_its_actions() -> None:
     problem = short_cart()
-    for item in demonstrate(problem, WALL, draw_tasks(problem, WALL, 3), solver=GRID):
+    for item in demonstrate(problem, WALL, draw_tasks(problem, 3, avoid=[WALL]), solver=GRID):
         assert item.actions is not None
         assert item.times is not None
         np.testing.assert_allclose(item.states[0], item.task.start, rtol=1e-6)
@@ -52,7 +52,7 @@ def test_a_demonstration_is_what_the_dynamics_make_of_its_actions() -> None:
 def test_drawn_tasks_can_be_done() -> None:
     """They start outside the constraint, where the episode is not over already."""
     half = Box(x=(-5.0, 0.0))
-    tasks = draw_tasks(short_cart(), half, 50)
+    tasks = draw_tasks(short_cart(), 50, avoid=[half])
     assert (tasks.start[:, 0] >= 0.0).all()
     assert (tasks.goal[:, 0] >= 0.0).all()
     assert (np.abs(tasks.start[:, 0]) <= 1.5).all()
@@ -61,7 +61,7 @@ def test_drawn_tasks_can_be_done() -> None:
 
 def test_a_constraint_everywhere_is_refused() -> None:
     with pytest.raises(ValueError, match=r"only 0 of .* tasks drawn from Cart"):
-        draw_tasks(short_cart(), Box(x=(-9.0, 9.0)), 2)
+        draw_tasks(short_cart(), 2, avoid=[Box(x=(-9.0, 9.0))])
 
 
 def test_a_task_that_cannot_avoid_the_constraint_is_named() -> None:

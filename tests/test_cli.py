@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -10,11 +11,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
 
-from swerve import cli, store
+from swerve import cli, sampling, store
+from swerve.evidence import Evidence
 
 ROBOT = """
 import math
@@ -182,6 +185,20 @@ def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Pat
     assert "--num or --tasks, not both" in said
 
 
+def test_demonstrate_with_tasks_of_ones_own(robot: str, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "tasks.csv").write_text(
+        "demo,start_theta,start_omega,goal_theta,goal_omega\nleft,5,0,5.5,0\ndemo_9,5,0,6,0.5\n"
+    )
+    arguments = ("--constraint", CONSTRAINT, "--out", tmp_path / "made", "--solver", SOLVER)
+    status, _, _ = run("demonstrate", robot, "--tasks", tmp_path / "tasks.csv", *arguments)
+    assert status == 0
+    files = {path.name for path in (tmp_path / "made").iterdir()}
+    assert files == {"demo_left.csv", "demo_9.csv", "tasks.csv"}
+    status, _, said = run("demonstrate", robot, *arguments[:2], "--out", "x", "--solver", "ppo")
+    assert status == 1
+    assert "expected a swerve.Grid, got PPO(" in said
+
+
 def test_new_tasks_are_added_to_what_is_there(
     robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
 ) -> None:
@@ -194,15 +211,132 @@ def test_new_tasks_are_added_to_what_is_there(
     assert together == pytest.approx(anew, abs=1e-4)
 
 
-def test_asking_for_other_samples_samples_anew(
+def test_other_settings_are_kept_beside_the_first_and_used_until_others_are_asked_for(
     robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
 ) -> None:
-    arguments = infer(robot, demonstrations[:1], tmp_path / "work", "--solver", SOLVER, "--json")
-    run(*arguments)
-    arguments[arguments.index("--samples") + 1] = 700
-    _, out, _ = run(*arguments, "--method", "plain")
-    [diagnostics] = json.loads(out)["diagnostics"]
-    assert (diagnostics["num_trajectories"], diagnostics["method"]) == (700, "plain")
+    work = tmp_path / "work"
+
+    def ask(*more: object) -> tuple[int, str]:
+        status, out, said = run("infer", robot, demonstrations[0], "--work", work, "--json", *more)
+        assert status == 0, said
+        [diagnostics] = json.loads(out)["diagnostics"]
+        return diagnostics["num_trajectories"], diagnostics["method"]
+
+    assert ask("--solver", SOLVER, "--samples", 500, "--seed", 3) == (500, "importance")
+    assert ask("--samples", 700, "--method", "plain") == (700, "plain")
+    assert ask() == (700, "plain")
+    assert ask("--samples", 500) == (500, "plain")
+    assert ask("--method", "importance") == (500, "importance")
+    assert {unquote(path.name) for path in work.glob("*.evidence")} == {
+        f"{SOLVER}.seed3.importance.500.evidence",
+        f"{SOLVER}.seed3.plain.500.evidence",
+        f"{SOLVER}.seed3.plain.700.evidence",
+    }
+    assert len(list(work.glob("*.nominal"))) == 1
+
+
+def test_the_seed_of_learning_is_remembered(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    run("learn", robot, "--work", work, "--solver", SOLVER, "--seed", 3)
+    run(*infer(robot, demonstrations[:1], work))
+    assert all(".seed3." in path.name for path in work.iterdir() if path.suffix != ".json")
+    run(*infer(robot, demonstrations[:1], work, "--seed", 4))
+    assert len(list(work.glob("*.nominal"))) == 2
+
+
+def test_what_is_finished_is_kept_when_sampling_is_interrupted(
+    robot: str,
+    run: Run,
+    demonstrations: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    work, whole = tmp_path / "work", sampling.sample_each
+
+    def interrupted(*arguments, **settings):
+        yield from itertools.islice(whole(*arguments, **settings), 2)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("swerve.sampling.sample_each", interrupted)
+    arguments = infer(robot, demonstrations, work, "--solver", SOLVER, "--json")
+    status, _, said = run(*arguments)
+    assert status == 130
+    assert "the same command goes on" in said
+    [path] = work.glob("*.evidence")
+    assert Evidence.load(path).num_tasks == 2
+    asked = []
+
+    def counting(nominal, tasks, *arguments, **settings):
+        asked.append(len(tasks.start))
+        return whole(nominal, tasks, *arguments, **settings)
+
+    monkeypatch.setattr("swerve.sampling.sample_each", counting)
+    assert run(*arguments)[0] == 0
+    assert asked == [2]
+    assert Evidence.load(path).num_tasks == 4
+
+
+def test_nothing_is_said_to_go_on_without_a_work_folder(
+    robot: str, run: Run, demonstrations: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments, **settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("swerve.sampling.sample_each", interrupted)
+    status, _, said = run("infer", robot, demonstrations[0], "--solver", SOLVER)
+    assert status == 130
+    assert said.endswith("interrupted\n")
+
+
+def test_a_change_that_no_source_shows_is_noticed_when_the_problem_is_loaded(
+    run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """The problem reads a data file, whose hash is not recorded."""
+    text = ROBOT.replace("neighbour.MAX_TORQUE", "float(pathlib.Path(DATA).read_text())")
+    text = text.replace(
+        "import neighbour", f"import pathlib\nDATA = {str(tmp_path / 'data.txt')!r}"
+    )
+    (tmp_path / "reads.py").write_text(text)
+    (tmp_path / "data.txt").write_text("3.0")
+    robot, work = f"{tmp_path / 'reads.py'}:problem", tmp_path / "work"
+    run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+    (tmp_path / "data.txt").write_text("2.0")
+    status, out, said = run(*infer(robot, demonstrations[:2], work))
+    assert status == 0
+    assert "is out of date (the problem has changed)" in said
+    assert "max_torque=2" in out
+    [path] = work.glob("*.evidence")
+    assert Evidence.load(path).num_tasks == 2
+
+
+def test_evidence_of_another_version_of_the_problem_is_refused(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """As a process leaves it that was under way when a source changed."""
+    works = tmp_path / "old", tmp_path / "new"
+    run(*infer(robot, demonstrations[:1], works[0], "--solver", SOLVER))
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 2.0\n")
+    run(*infer(robot, demonstrations[:1], works[1], "--solver", SOLVER))
+    [old], [new] = (list(work.glob("*.evidence")) for work in works)
+    new.write_bytes(old.read_bytes())
+    status, _, said = run(*infer(robot, demonstrations[:1], works[1]))
+    assert status == 1
+    assert f"{new}: holds evidence of another version of the problem" in said
+
+
+def test_old_results_are_there_until_new_ones_are_worked_out(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+    before = {path: path.read_bytes() for path in work.iterdir()}
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 2.0\n")
+    (tmp_path / "x.csv").write_text("theta\n1\n2\n")
+    assert run("infer", robot, tmp_path / "x.csv", "--work", work)[0] == 1
+    assert run(*infer(robot, demonstrations[:1], work, "--solver", "magic"))[0] == 1
+    assert {path: path.read_bytes() for path in work.iterdir()} == before
 
 
 def test_learn_and_sample_ahead_then_infer(
@@ -306,6 +440,44 @@ class TestBadInput:
         status, _, said = run("infer", "pendulum?torque=3")
         assert status == 1
         assert "no parameter 'torque'; there are max_torque" in said
+
+    @pytest.mark.parametrize(
+        ("option", "value", "message"),
+        [
+            ("--score", "best", "best"),
+            ("--method", "magic", "method: expected one of importance, plain, got 'magic'"),
+            ("--samples", 0, "samples: expected at least 2, got 0"),
+            ("--seed", -1, "seed: expected a number >= 0, got -1"),
+            ("--solver", "grid?num_points", "expected name=value after '?'"),
+            ("--report", ".", "is a folder; name a file"),
+            ("--report", "/proc/none/x.html", "cannot write in /proc/none"),
+        ],
+    )
+    def test_options_are_refused_before_the_work(
+        self, robot: str, run: Run, option: str, value: object, message: str
+    ) -> None:
+        status, out, said = run("infer", robot, option, value)
+        assert status in (1, 2)
+        assert message in out + said
+        assert "learning" not in said
+
+    def test_tasks_are_refused_before_learning(self, robot: str, run: Run, tmp_path: Path) -> None:
+        walled = ROBOT.replace("between_states=between_states", "known=[swerve.Box(theta=(0, 1))]")
+        (tmp_path / "walled.py").write_text("import swerve\n" + walled)
+        (tmp_path / "x.csv").write_text("theta,omega\n2,0\n2.1,0\n")
+        (tmp_path / "tasks.csv").write_text(
+            "demo,start_theta,start_omega,goal_theta,goal_omega\nx,0.5,0,2,0\n"
+        )
+        arguments = ("--tasks", tmp_path / "tasks.csv", "--solver", "ppo")
+        status, _, said = run("sample", f"{tmp_path}/walled.py:problem", *arguments, "--work", "w")
+        assert status == 1
+        assert "inside the known constraint theta [0, 1)" in said
+        assert "learning" not in said
+
+    def test_num_of_demonstrations(self, robot: str, run: Run) -> None:
+        status, _, said = run("demonstrate", robot, "--constraint", 3, "--num", 0, "--out", "x")
+        assert status == 1
+        assert "--num: expected at least 1, got 0" in said
 
     def test_unknown_solver(self, robot: str, run: Run) -> None:
         status, _, said = run("infer", robot, "--solver", "magic")

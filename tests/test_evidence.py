@@ -13,8 +13,9 @@ from synthetic import SPACE, TASKS, evidence_of_columns, make_evidence, make_rec
 
 from swerve import estimators
 from swerve.constraints import Box
-from swerve.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence, summarise
+from swerve.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence
 from swerve.hypotheses import ConstraintHypotheses, grid, unpack
+from swerve.samples import summarise
 from swerve.space import TWO_PI, StateSpace, Task
 from swerve.store import StoreError, open_file
 
@@ -110,13 +111,13 @@ class TestSummary:
         samples = make_samples()
         samples.total_reward[1, 7] = np.nan
         with pytest.raises(ValueError, match="1 of 1200 log-weights are not finite"):
-            summarise(make_record(), samples, "importance")
+            summarise(make_record(), TASKS, samples, "importance")
 
     def test_a_task_that_no_sample_survives_is_refused(self) -> None:
         samples = make_samples()
         samples.total_reward[2] = -np.inf
         with pytest.raises(ValueError, match="all 400 sampled trajectories enter a known"):
-            summarise(make_record(), samples, "importance")
+            summarise(make_record(), TASKS, samples, "importance")
 
 
 class TestFloorAndErrors:

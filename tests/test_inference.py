@@ -291,7 +291,7 @@ class TestWarnings:
         assert "(wanderer alone enters 10)" in warning
         data = json.loads(json.dumps(result.to_json(), allow_nan=False))
         assert data["ranking"] == []
-        assert data["num_struck_out"] == 10
+        assert len(data["struck_out"]) == 10
         assert result.table().count("\n") == 0  # the header alone
 
     def low_evidence(self, task: int) -> Evidence:
@@ -341,7 +341,7 @@ class TestWarnings:
         assert result.log_likelihood[6] == pytest.approx(math.log(1000))
         (warning,) = result.warnings
         assert warning.startswith("hypothesis 6 is entered by almost every nominal trajectory")
-        assert "no more than about 6.9 nats a demonstration" in warning
+        assert "each of its demonstrations the samples tell no more than about 6.9 nats" in warning
 
     def test_a_floored_hypothesis_that_is_struck_out_is_no_matter(self) -> None:
         chances = [0.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0, 0.2, 0.0]
@@ -395,7 +395,9 @@ class TestOutput:
             assert entry["standard_error"] == result.standard_error[index] > 0
             assert entry["average_violation"] == pytest.approx(0.1 * index)
         assert [entry["rank"] for entry in data["ranking"]] == [1, 2, 3, 4, 5, 6, 7]
-        assert data["num_struck_out"] == 3
+        struck_out = {entry["index"]: entry["entered_by"] for entry in data["struck_out"]}
+        assert struck_out == {1: ["a"], 3: ["a"], 9: ["b"]}
+        assert data["headline"] == result.headline
         assert data["num_demonstrations"] == 2
         assert data["warnings"] == []
         assert data["score"] == "likelihood"

@@ -231,7 +231,8 @@ class TestPaths:
         assert 90 < len(lines.get_paths()) <= plots.NUM_LINES
 
     def test_evidence_without_trajectories_can_be_drawn(self) -> None:
-        evidence = make_evidence(samples=make_samples()._replace(kept=np.zeros((3, 0, 6, 2))))
+        empty = make_samples()._replace(kept=np.zeros((3, 0, 6, 2)))
+        evidence = make_evidence(load_samples=lambda: empty)
         figure = plot_inference(infer(evidence, [crossing()]))
         assert "nominal trajectories" not in legend(figure)
 

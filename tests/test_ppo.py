@@ -91,6 +91,21 @@ def test_clip_stops_the_surrogate_from_rewarding_large_steps() -> None:
     assert slope(0.65) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_new_episodes_begin_where_they_can() -> None:
+    """Outside known constraints and where the episode is not over, the shares kept."""
+    wall = Box(x=(-0.2, 0.9))
+    problem = short_cart(known=[wall])
+    trainer = Trainer(problem, TINY, 0)
+    lanes = trainer.fresh_lanes(jax.random.key(3), 400, explore=0.25)
+    states = np.asarray(lanes.state).T
+    assert not wall.contains(states, problem.mdp.space).any()
+    assert not jax.vmap(problem.mdp.terminated)(lanes.state.T, lanes.goal.T).any()
+    assert 0.15 < (np.asarray(lanes.step) > 0).mean() < 0.3
+    assert len(np.unique(states, axis=0)) > 150
+    drawn = trainer.fresh_lanes(jax.random.key(3), 400, explore=1.0)
+    assert len(np.unique(np.asarray(drawn.step))) > 1
+
+
 @pytest.mark.parametrize("output", [-3.0, -0.5, 0.2, 2.5])
 def test_slope_of_the_value_is_the_divisor_of_its_loss(output: float) -> None:
     def value(x):

@@ -102,8 +102,8 @@ def test_a_policy_that_enters_a_known_constraint_loses_that_weight() -> None:
         problem: Problem
         solver: Grid
 
-        def policies(self, goals):
-            return blind.policies(goals)
+        def policies(self, goals, advance=lambda share: None):
+            return blind.policies(goals, advance)
 
         def arrays(self):
             return {}
@@ -145,7 +145,7 @@ class TestBadInput:
 
     def test_start_where_the_episode_is_over(self) -> None:
         nominal = learn(short_cart(), Grid(num_points=21))
-        with pytest.raises(ValueError, match="where the episode is already over"):
+        with pytest.raises(ValueError, match="where the episode is over"):
             sample(nominal, Task(np.array([1.7, 0.0]), np.zeros(2)))
 
     def test_dynamics_that_return_nan(self) -> None:

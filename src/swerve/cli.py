@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cyclopts
 from cyclopts import Parameter
@@ -70,7 +70,7 @@ def infer(
     solver: SolverName = None,
     samples: Samples = None,
     method: Method = None,
-    score: str = "likelihood",
+    score: Literal["likelihood", "average"] = "likelihood",
     seed: Seed = None,
     work: WorkFolder = None,
     report: Path | None = None,
@@ -88,10 +88,12 @@ def infer(
     """
     from swerve.inference import infer as infer_constraints
 
-    job = _work(problem, work)
+    if report is not None:
+        _check_report(report)
+    job = _work(problem, work, solver, seed, method, samples)
     found = _read(job, demonstrations, tasks)
     asked = _asked_tasks(job, found, tasks)
-    evidence = job.evidence(asked, solver, _settings(samples, method, seed))
+    evidence = job.evidence(asked)
     if not found and asked is not None:
         evidence = _only(evidence, asked)
     _show(infer_constraints(evidence, found, score=score), report, as_json)
@@ -110,8 +112,7 @@ def learn(
 
     Training that is interrupted goes on where it stopped when the same command is given again.
     """
-    job = _work(problem, work)
-    nominal = job.nominal(solver, seed)
+    nominal = _work(problem, work, solver, seed).nominal()
     _say(f"learned with {nominal.solver!r}; next: swerve sample or swerve infer, --work {work}")
 
 
@@ -129,8 +130,8 @@ def sample(
     as_json: AsJson = False,
 ) -> None:
     """Sample the nominal distribution for tasks, so that inference is instant afterwards."""
-    job = _work(problem, work)
-    evidence = job.evidence(_asked_tasks(job, [], tasks), solver, _settings(samples, method, seed))
+    job = _work(problem, work, solver, seed, method, samples)
+    evidence = job.evidence(_asked_tasks(job, [], tasks))
     rows = [
         {
             "start": evidence.tasks.start[k].tolist(),
@@ -162,6 +163,7 @@ def demonstrate(
     out: Path,
     num: int | None = None,
     tasks: Tasks = None,
+    solver: str = "grid",
     seed: int = 0,
 ) -> None:
     """Make demonstrations that obey one of the hypotheses, by sampling pi_c with the grid solver.
@@ -170,23 +172,30 @@ def demonstrate(
       constraint: Index of the hypothesis to obey.
       out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
       num: How many, of as many tasks drawn from the MDP. [default: 10, or one for each of --tasks]
+      solver: grid, with settings as in 'grid?num_points=81'.
     """
     from swerve.demonstrations import read_tasks, write_demonstrations
     from swerve.demonstrators.boltzmann import demonstrate as draw
-    from swerve.demonstrators.boltzmann import draw_tasks
+    from swerve.nominal import resolve_solver
+    from swerve.tasks import draw_tasks
 
     if tasks is not None and num is not None:
         raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
+    if num is not None and num < 1:
+        raise ValueError(f"--num: expected at least 1, got {num}")
     if (out / "tasks.csv").exists():
         raise FileExistsError(f"{out / 'tasks.csv'} exists already; name another folder with --out")
     job = _work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
+    names = None
     if tasks is not None:
         rows = read_tasks(tasks, record.space, record.goal_names)
         batch = swerve.Task.stack(list(rows.values()))
+        names = [f"demo_{row.removeprefix('demo_')}" for row in rows]
     else:
-        batch = draw_tasks(job.problem, forbidden, num or 10, seed=seed)
-    made = draw(job.problem, forbidden, batch, seed=seed, progress=True)
+        batch = draw_tasks(job.problem, num or 10, avoid=[forbidden], seed=seed)
+    grid: Any = resolve_solver(solver)  # anything else is refused
+    made = draw(job.problem, forbidden, batch, names=names, solver=grid, seed=seed, progress=True)
     write_demonstrations(
         out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
     )
@@ -212,7 +221,8 @@ def main() -> None:
     try:
         app(sys.argv[1:])
     except KeyboardInterrupt:
-        _say("interrupted; the same command goes on from what --work holds")
+        kept = any(word.partition("=")[0] == "--work" for word in sys.argv)
+        _say("interrupted" + ("; the same command goes on from what --work holds" if kept else ""))
         sys.exit(130)
     except BrokenPipeError:  # whoever read the output, such as head, has seen enough
         sys.stdout = None
@@ -221,16 +231,26 @@ def main() -> None:
         sys.exit(1)
 
 
-def _work(problem: str, folder: Path | None) -> Work:
-    from swerve.work import Work
+def _work(
+    problem: str,
+    folder: Path | None,
+    solver: str | None = None,
+    seed: int | None = None,
+    method: str | None = None,
+    samples: int | None = None,
+) -> Work:
+    from swerve.work import Settings, Work
 
-    return Work(problem, folder, say=_say, progress=True)
+    return Work(problem, folder, Settings(solver, seed, method, samples), say=_say, progress=True)
 
 
-def _settings(samples: int | None, method: str | None, seed: int | None) -> Any:
-    from swerve.work import SampleSettings
+def _check_report(report: Path) -> None:
+    """Make sure that the report can be written before the work that it is about."""
+    from swerve.store import check_writable
 
-    return SampleSettings(samples, method, seed)
+    if report.is_dir():
+        raise IsADirectoryError(f"--report {report} is a folder; name a file, such as report.html")
+    check_writable(report.parent)
 
 
 def _read(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[Any]:
@@ -270,18 +290,17 @@ def _only(evidence: Evidence, tasks: Task) -> Evidence:
 
 def _show(result: Inference, report: Path | None, as_json: bool) -> None:
     """Print a result, and write its report if one is asked for."""
-    if report is not None:
-        result.report(report)
     for warning in result.warnings:
         _say(f"warning: {warning}")
     if as_json:
         print(json.dumps(result.to_json()))
-        return
-    print(result.evidence.problem.summary)
-    print(result.headline)
-    print(result.table())
+    else:
+        print(result.evidence.problem.summary)
+        print(result.headline)
+        print(result.table())
     if report is not None:
-        print(f"report: {report}")
+        result.report(report)
+        _say(f"report: {report}")
 
 
 def _numbers(values: np.ndarray | list[float]) -> str:

@@ -11,58 +11,24 @@ Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, n states, 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 import numpy as np
 
 from swerve import estimators, store
 from swerve.problem import ProblemRecord
+from swerve.samples import Samples, Summary, equalise, log_weights
 from swerve.space import Task
 
 KIND = "swerve-evidence"
 VERSION = 1
-METHODS = ("importance", "plain")
+Fields = TypeVar("Fields", bound=tuple)
+
 MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
-
-
-class Samples(NamedTuple):
-    """Sampled trajectories reduced to what estimates need.
-
-    Attributes:
-      total_reward: [K, N] R(xi); -inf where a known constraint was entered.
-      log_probability: [K, N] log pi(xi) under the policy that drew it, nats.
-      length: [K, N] steps taken.
-      violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
-      kept: [K, M, T+1, n] a few whole trajectories, drawn by weight, for pictures.
-    """
-
-    total_reward: np.ndarray
-    log_probability: np.ndarray
-    length: np.ndarray
-    violations: np.ndarray
-    kept: np.ndarray
-
-
-class Summary(NamedTuple):
-    """Estimates for each task, the part of evidence that inference reads.
-
-    Attributes:
-      avoid_probability: [K, H] Z_c / Z_0.
-      avoid_variance: [K, H] its sampling variance.
-      log_partition: [K] log Z_0, nats.
-      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats.
-      effective_sample_size: [K] of the importance weights, whatever the method.
-    """
-
-    avoid_probability: np.ndarray
-    avoid_variance: np.ndarray
-    log_partition: np.ndarray
-    kl: np.ndarray
-    effective_sample_size: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +126,12 @@ class Evidence:
     def log_weight(self) -> np.ndarray:
         """[K, N] log-weights l that `method` uses, nats; all 0 for "plain"."""
         log_weight = self.importance_log_weight
-        return _equalise(log_weight) if self.method == "plain" else log_weight
+        return equalise(log_weight) if self.method == "plain" else log_weight
 
     @property
     def importance_log_weight(self) -> np.ndarray:
         """[K, N] l = beta R + log m - log pi, nats."""
-        return _log_weights(self.problem, self.samples)
+        return log_weights(self.problem, self.samples)
 
     def hoeffding_error(self, confidence: float = 0.95) -> float:
         """Return the bound on each probability's error (the paper, III-C.2); equal weights only.
@@ -225,29 +191,30 @@ class Evidence:
             load_samples=lambda: Samples(*(values[indices] for values in self.samples)),
         )
 
-    def joined(self, other: Evidence) -> Evidence:
-        """Return evidence for the tasks of both.
+    def joined(self, *others: Evidence) -> Evidence:
+        """Return evidence for the tasks of this and others, in that order.
 
         Raises:
-          ValueError: if they differ in problem, method, solver or number of trajectories.
+          ValueError: if they differ in problem, method, solver, seed or number of trajectories.
         """
-        for field in ("method", "num_trajectories", "solver", "seed"):
-            if getattr(self, field) != getattr(other, field):
+        for other in others:
+            for field in ("method", "num_trajectories", "solver", "seed"):
+                if getattr(self, field) != getattr(other, field):
+                    raise ValueError(
+                        f"evidence of different {field} cannot be joined: "
+                        f"{getattr(self, field)!r} and {getattr(other, field)!r}"
+                    )
+            if self.problem.fingerprint != other.problem.fingerprint:
                 raise ValueError(
-                    f"evidence of different {field} cannot be joined: "
-                    f"{getattr(self, field)!r} and {getattr(other, field)!r}"
+                    "evidence of different problems cannot be joined: "
+                    f"{self.problem.summary} and {other.problem.summary}"
                 )
-        if self.problem.fingerprint != other.problem.fingerprint:
-            raise ValueError(
-                "evidence of different problems cannot be joined: "
-                f"{self.problem.summary} and {other.problem.summary}"
-            )
-        samples = Samples(*map(_concatenate, self.samples, other.samples))
+        everything = (self, *others)
         return dataclasses.replace(
             self,
-            tasks=Task(*map(_concatenate, self.tasks, other.tasks)),
-            summary=Summary(*map(_concatenate, self.summary, other.summary)),
-            load_samples=lambda: samples,
+            tasks=_concatenated([evidence.tasks for evidence in everything]),
+            summary=_concatenated([evidence.summary for evidence in everything]),
+            load_samples=lambda: _concatenated([evidence.samples for evidence in everything]),
         )
 
     def save(self, path: str | Path) -> None:
@@ -291,42 +258,6 @@ class Evidence:
         )
 
 
-def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
-    """Estimate what inference needs from sampled trajectories of K tasks."""
-    rows = []
-    for log_weight, violations in zip(
-        _log_weights(problem, samples), samples.violations, strict=True
-    ):
-        used = _equalise(log_weight) if method == "plain" else log_weight
-        estimate = estimators.avoid_probability(used, violations, len(problem.hypotheses))
-        log_partition = estimators.log_partition(log_weight)
-        rows.append(
-            (
-                *estimate,
-                log_partition,
-                estimators.kl_divergence(log_weight, log_partition),
-                estimators.effective_sample_size(log_weight),
-            )
-        )
-    return Summary(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def _log_weights(problem: ProblemRecord, samples: Samples) -> np.ndarray:
-    return estimators.log_weights(
-        samples.total_reward,
-        samples.log_probability,
-        samples.length,
-        beta=problem.beta,
-        measure=problem.measure,
-        num_actions=problem.num_actions,
-    )
-
-
-def _equalise(log_weight: np.ndarray) -> np.ndarray:
-    """Return 0 where a trajectory is allowed, -inf where it entered a known constraint."""
-    return np.where(np.isfinite(log_weight), 0.0, -np.inf)
-
-
 def _goal_distance(problem: ProblemRecord, goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Return how far goals [K, g] are from one goal [g], in units of the states' extent."""
     if problem.goal_names == problem.space.names:
@@ -336,8 +267,9 @@ def _goal_distance(problem: ProblemRecord, goals: np.ndarray, goal: np.ndarray) 
     return (np.abs(goals - goal) / np.maximum(1.0, np.abs(goal))).max(axis=-1)
 
 
-def _concatenate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.concatenate([a, b])
+def _concatenated(parts: Sequence[Fields]) -> Fields:
+    """Return named tuples of arrays as one, joined along the first axis of every array."""
+    return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _numbers(values: Any) -> str:

@@ -12,7 +12,6 @@ Shapes: D demonstrations, K tasks, H hypotheses.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,9 +28,6 @@ from swerve.problem import ProblemRecord
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
-LOW_ESS_SHARE = 0.02
-LOW_ESS = 100.0
-GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 TABLE_ROWS = 10
 
 
@@ -138,62 +134,20 @@ class Inference:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against trusting the ranking, in plain words; empty if nothing does."""
-        return (*self._exhausted(), *self._low_samples(), *self._floored())
+        from swerve import diagnosis
 
-    def _exhausted(self) -> list[str]:
-        if len(self.ranking):
-            return []
-        worst = self.demonstrations[int(self.entered.sum(axis=1).argmax())]
-        message = (
-            f"no hypothesis is left: each of the {len(self.struck_out)} is entered by at least one "
-            f"demonstration ({worst.name} alone enters {self.entered.sum(axis=1).max()}). The "
-            "constraint is not among the hypotheses, or the demonstrations are not of this problem"
-        )
-        return [message]
-
-    def _low_samples(self) -> list[str]:
-        ess, num = self.evidence.effective_sample_size, self.evidence.num_trajectories
-        low = (ess < max(LOW_ESS, LOW_ESS_SHARE * num)) & (self.task_counts > 0)
-        if not low.any():
-            return []
-        worst = int(np.flatnonzero(low)[ess[low].argmin()])
-        message = (
-            f"not to be trusted: the effective sample size is too low for {low.sum()} of "
-            f"{np.count_nonzero(self.task_counts)} tasks (worst: {self.task_name(worst)}, "
-            f"{ess[worst]:.0f} of {num}). {self._remedy(ess[worst] / num)}"
-        )
-        return [message]
-
-    def _remedy(self, share: float) -> str:
-        """Return what to do about an effective sample size that is this share of N."""
-        if share > GOOD_ESS_SHARE:
-            return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
-        if self.evidence.solver.startswith("Grid("):
-            return "The grid is too coarse for this problem: give it more num_points"
-        return (
-            "The policy is far from pi_0: train it longer, or use the grid solver where the state "
-            "has at most 3 dimensions"
-        )
-
-    def _floored(self) -> list[str]:
-        used = self.task_counts > 0
-        floored = np.asarray(self.evidence.is_floored[used].any(axis=0))[self.leaders]
-        if not floored.any():
-            return []
-        message = (
-            f"hypothesis {self.leaders[floored][0]} is entered by almost every nominal trajectory "
-            f"of a task: the samples tell no more than about "
-            f"{-math.log(self.evidence.resolution[used].min()):.1f} nats a demonstration, and its "
-            "true score may be higher"
-        )
-        return [message]
+        return diagnosis.warnings(self)
 
     def task_name(self, task: int) -> str:
-        """Return the names of the demonstrations of a task, or its number."""
-        names = [
-            d.name for d, k in zip(self.demonstrations, self.task_of, strict=True) if k == task
-        ]
-        return ", ".join(names) if names else f"task {task}"
+        """Return the names of the first demonstrations of a task, or its number."""
+        from swerve.diagnosis import some_names
+
+        names = self._demonstrations_of(task)
+        return some_names(names) if names else f"task {task}"
+
+    def _demonstrations_of(self, task: int) -> list[str]:
+        pairs = zip(self.demonstrations, self.task_of, strict=True)
+        return [demonstration.name for demonstration, k in pairs if k == task]
 
     def hypothesis_name(self, index: int) -> str:
         """Return what a hypothesis is called, for example 'theta [3.14, 3.77), omega [0, 1.2)'."""
@@ -214,8 +168,10 @@ class Inference:
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the ranking, best first, and diagnostics per task, as JSON data."""
+        """Return the ranking, best first, and diagnostics of each task used, as JSON data."""
+        tasks = self.task_of if self.demonstrations else range(self.evidence.num_tasks)
         return {
+            "headline": self.headline,
             "problem": self.evidence.problem.summary,
             "score": self.score_name,
             "num_demonstrations": len(self.demonstrations),
@@ -230,20 +186,25 @@ class Inference:
                 }
                 for index, rank in zip(self.ranking, self.rank, strict=True)
             ],
-            "num_struck_out": int(self.struck_out.sum()),
-            "warnings": list(self.warnings),
-            "diagnostics": [
-                self._task_diagnostics(int(k)) for k in np.flatnonzero(self.task_counts)
+            "struck_out": [
+                {
+                    "index": index,
+                    "name": self.hypothesis_name(index),
+                    "entered_by": [
+                        self.demonstrations[d].name for d in np.flatnonzero(self.entered[:, index])
+                    ],
+                }
+                for index in np.flatnonzero(self.struck_out).tolist()
             ],
+            "warnings": list(self.warnings),
+            "diagnostics": [self._task_diagnostics(int(k)) for k in dict.fromkeys(tasks)],
         }
 
     def _task_diagnostics(self, task: int) -> dict[str, Any]:
         evidence = self.evidence
         return {
             "task": int(task),
-            "demonstrations": [
-                d.name for d, k in zip(self.demonstrations, self.task_of, strict=True) if k == task
-            ],
+            "demonstrations": self._demonstrations_of(task),
             "start": evidence.tasks.start[task].tolist(),
             "goal": evidence.tasks.goal[task].tolist(),
             "solver": evidence.solver,
@@ -319,6 +280,12 @@ def infer(
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")
     demonstrations = tuple(demonstrations)
+    for item in demonstrations:
+        if not isinstance(item, Demonstration):
+            raise ValueError(
+                f"expected a list of swerve.Demonstration, got a {type(item).__name__} in it: make "
+                "one with swerve.Demonstration(name, states, task)"
+            )
     task_of, rows = [], []
     for demonstration in demonstrations:
         check_states(demonstration.states, demonstration.times, problem.space, demonstration.name)

@@ -7,7 +7,7 @@ can make them; importance weights take care of the rest.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -38,8 +38,15 @@ class Nominal(Protocol):
         """How it was learned."""
         ...
 
-    def policies(self, goals: np.ndarray) -> Iterator[Policy]:
-        """Yield the policy of each goal [G, g] in turn."""
+    def policies(
+        self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
+    ) -> Iterator[Policy]:
+        """Yield the policy of each goal [G, g] in turn.
+
+        Args:
+          goals: [G, g].
+          advance: called with the number of goals, a fraction perhaps, done since the last call.
+        """
         ...
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -18,6 +18,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from swerve.mdp import MDP
 
 MEASURES = ("uniform", "counting")
+OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # a file that is moved is the same problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +196,8 @@ def _mdp_digest(mdp: MDP) -> str:
     import jax
 
     leaves, _ = jax.tree_util.tree_flatten_with_path(mdp)
-    parts = [f"{type(mdp).__module__}.{type(mdp).__qualname__}", _mdp_name(mdp)]
+    module = re.sub(OF_A_FILE, r"\1", type(mdp).__module__)
+    parts = [f"{module}.{type(mdp).__qualname__}", _mdp_name(mdp)]
     for path, leaf in leaves:
         if callable(leaf):  # its bytes would be an address
             parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")

@@ -21,8 +21,9 @@ from matplotlib.figure import Figure
 import swerve
 from swerve import plots, store, wording
 from swerve.constraints import interval_name
+from swerve.diagnosis import LOW_ESS, LOW_ESS_SHARE
 from swerve.hypotheses import GridHypotheses
-from swerve.inference import LOW_ESS, LOW_ESS_SHARE, TIE_ERRORS, Inference
+from swerve.inference import TIE_ERRORS, Inference
 
 MAX_HYPOTHESES = 50  # rows of the ranking
 MAX_TASKS = 100  # rows of the diagnostics

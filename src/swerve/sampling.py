@@ -2,16 +2,17 @@
 
 Trajectories of each task are rolled out in chunks on as many threads as there are cores, judged
 against all hypotheses at once and dropped; what is kept is their reward, log-probability, length
-and one bit a hypothesis.
+and one bit a hypothesis, and a few whole ones for pictures.
 
-Shapes: K tasks, N trajectories, T steps, H hypotheses, n states, g goal dimensions.
+Shapes: K tasks, N trajectories, T steps, H hypotheses, M kept trajectories, n states, g goal
+dimensions.
 """
 
 from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -20,12 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve import estimators
-from swerve.constraints import Constraint
-from swerve.evidence import METHODS, Evidence, Samples, summarise
+from swerve.evidence import Evidence
 from swerve.nominal import Nominal
 from swerve.problem import Problem, ProblemRecord
 from swerve.progress import progress_bar
+from swerve.samples import METHODS, Samples, log_weights, summarise
 from swerve.space import Task
+from swerve.tasks import checked_tasks
 from swerve.trajectory import Policy, rollout
 
 CHUNK = 2048  # trajectories rolled out at once: their activations stay in cache
@@ -55,79 +57,67 @@ def sample(
       progress: whether to show a progress bar.
 
     Returns:
-      Evidence for these tasks.
+      Evidence for these tasks, in their order.
 
     Raises:
       ValueError: if a task does not fit the problem, or the dynamics return NaN.
     """
-    problem = nominal.problem
-    batch = checked_tasks(problem, tasks)
+    found = dict(
+        sample_each(nominal, tasks, num_trajectories, method=method, seed=seed, progress=progress)
+    )
+    first, *others = (found[k] for k in sorted(found))
+    return first.joined(*others)
+
+
+def sample_each(
+    nominal: Nominal,
+    tasks: Task | Sequence[Task],
+    num_trajectories: int = 10_000,
+    *,
+    method: str = "importance",
+    seed: int = 0,
+    progress: bool = False,
+) -> Iterator[tuple[int, Evidence]]:
+    """Yield the number of each task and its evidence as soon as it is there; see `sample`.
+
+    Tasks with the same goal follow one another, whatever their order.
+    """
+    batch = checked_tasks(nominal.problem, tasks)
     if method not in METHODS:
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     if num_trajectories < 2:
         raise ValueError(f"num_trajectories: expected at least 2, got {num_trajectories}")
-    record = problem.record
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
-    samples: dict[int, Samples] = {}
-    total = len(batch.start) * num_trajectories
+    total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs about as much
     workers = ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0)))
+    record = nominal.problem.record
     with workers, progress_bar("sampling", total, progress) as advance:
-        for goal, policy in enumerate(nominal.policies(goals)):
-            for k in np.flatnonzero(goal_of_task.reshape(-1) == goal):
+        policies = nominal.policies(goals, lambda share: advance(share * num_trajectories))
+        for goal, policy in enumerate(policies):
+            for k in np.flatnonzero(goal_of_task.reshape(-1) == goal).tolist():
                 task = Task(batch.start[k], batch.goal[k])
-                job = _Job(problem, record, policy, task, num_trajectories, seed)
-                samples[int(k)] = _sample_task(job, workers.map, advance)
-    stacked = Samples(
-        *(np.stack(column) for column in zip(*(samples[k] for k in sorted(samples)), strict=True))
-    )
-    return Evidence(
-        problem=record,
-        tasks=batch,
-        method=method,
-        num_trajectories=num_trajectories,
-        solver=repr(nominal.solver),
-        seed=seed,
-        summary=summarise(record, stacked, method),
-        load_samples=lambda: stacked,
-    )
-
-
-def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
-    """Return tasks as one batch, starts [K, n] and goals [K, g], float64.
-
-    Raises:
-      ValueError: if shapes are wrong, numbers not finite, or a start lies where no trajectory can
-        begin.
-    """
-    mdp = problem.mdp
-    batch = tasks if isinstance(tasks, Task) else Task.stack(list(tasks))
-    start = np.atleast_2d(np.asarray(batch.start, np.float64))
-    goal = np.asarray(batch.goal, np.float64).reshape(len(start), -1)
-    for label, values, names in (
-        ("start", start, mdp.state_names),
-        ("goal", goal, mdp.goal_names),
-    ):
-        if values.shape[1] != len(names):
-            raise ValueError(
-                f"tasks: expected a {label} of {len(names)} numbers ({', '.join(names)}), "
-                f"got {values.shape[1]}"
-            )
-        if not np.isfinite(values).all():
-            bad = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-            raise ValueError(f"tasks: {label} of task {bad} is not finite: {values[bad].tolist()}")
-    ended = jax.vmap(mdp.terminated)(jnp.asarray(start), jnp.asarray(goal))
-    for k in range(len(start)):
-        inside: list[Constraint] = [c for c in problem.known if c.contains(start[k], mdp.space)]
-        if inside:
-            raise ValueError(
-                f"tasks: task {k} starts at {start[k].tolist()}, inside the known constraint "
-                f"{inside[0].name}"
-            )
-        if ended[k]:
-            raise ValueError(
-                f"tasks: task {k} starts at {start[k].tolist()}, where the episode is already over"
-            )
-    return Task(start, goal)
+                alone = Task(task.start[None], task.goal[None])
+                job = _Job(nominal.problem, record, policy, task, num_trajectories, seed)
+                try:
+                    samples = _sample_task(job, workers.map, advance)
+                    summary = summarise(record, alone, samples, method)
+                except ValueError as error:
+                    raise ValueError(
+                        f"task {k}, from {task.start.tolist()} to {task.goal.tolist()}: {error}"
+                    ) from error
+                yield (
+                    k,
+                    Evidence(
+                        problem=record,
+                        tasks=alone,
+                        method=method,
+                        num_trajectories=num_trajectories,
+                        solver=repr(nominal.solver),
+                        seed=seed,
+                        summary=summary,
+                        load_samples=lambda samples=samples: samples,
+                    ),
+                )
 
 
 class _Job(NamedTuple):
@@ -141,35 +131,55 @@ class _Job(NamedTuple):
     seed: int
 
 
-class _Chunk(NamedTuple):
+class _Numbers(NamedTuple):
+    """What trajectories are weighed by, each [N]."""
+
     total_reward: np.ndarray
     log_probability: np.ndarray
     length: np.ndarray
+
+
+class _Chunk(NamedTuple):
+    """Some of the trajectories of a task.
+
+    Attributes:
+      numbers: what they are weighed by.
+      violations: [N, B] packed bits.
+      kept: [M, T+1, n] a few whole ones, drawn by weight.
+      log_total: log of the sum of their weights, nats.
+    """
+
+    numbers: _Numbers
     violations: np.ndarray
-    states: np.ndarray
+    kept: np.ndarray
+    log_total: float
 
 
 def _sample_task(job: _Job, run_all: Callable, advance: Callable[..., None]) -> Samples:
-    """Sample the trajectories of one task, chunk by chunk."""
+    """Sample the trajectories of one task, chunk by chunk; every array has a leading axis of 1."""
     num_chunks = -(-job.num_trajectories // CHUNK)
     size = -(-job.num_trajectories // num_chunks)
+    sizes = [min(size, job.num_trajectories - k * size) for k in range(num_chunks)]
     numbers = np.concatenate([job.task.start, job.task.goal])
     key = jax.random.fold_in(jax.random.key(job.seed), zlib.crc32(numbers.tobytes()))
 
-    def run(chunk_key: jax.Array) -> _Chunk:
-        chunk = _sample_chunk(job, chunk_key, size)
-        advance(job.num_trajectories / num_chunks)
+    def run(chunk_key: jax.Array, used: int) -> _Chunk:
+        chunk = _sample_chunk(job, chunk_key, size, used)
+        advance(used)
         return chunk
 
-    chunks = list(run_all(run, jax.random.split(key, num_chunks)))
-    joined = _Chunk(
-        *(np.concatenate(part)[: job.num_trajectories] for part in zip(*chunks, strict=True))
-    )
-    return Samples(*joined[:4], kept=_keep(job, joined))
+    chunks = list(run_all(run, jax.random.split(key, num_chunks), sizes))
+    rows = [(*chunk.numbers, chunk.violations) for chunk in chunks]
+    columns = [np.concatenate(part)[None] for part in zip(*rows, strict=True)]
+    # a point in the cumulative weight of all chunks names a chunk and a point in that chunk's
+    chunk, within = _at(_points(), np.array([chunk.log_total for chunk in chunks]))
+    place = np.minimum((within * NUM_KEPT).astype(int), NUM_KEPT - 1)
+    kept = np.stack([chunks[c].kept[k] for c, k in zip(chunk, place, strict=True)])
+    return Samples(*columns, kept=kept[None])
 
 
-def _sample_chunk(job: _Job, key: jax.Array, size: int) -> _Chunk:
-    """Roll out and judge one chunk of trajectories."""
+def _sample_chunk(job: _Job, key: jax.Array, size: int, used: int) -> _Chunk:
+    """Roll out one chunk of trajectories, and judge those that are used."""
     problem, task = job.problem, job.task
     trajectory = rollout(
         problem,
@@ -179,33 +189,38 @@ def _sample_chunk(job: _Job, key: jax.Array, size: int) -> _Chunk:
         key,
         size,
     )
-    states = np.moveaxis(np.asarray(trajectory.states), -1, 0)
+    states = np.moveaxis(np.asarray(trajectory.states), -1, 0)[:used]
     if not np.isfinite(states).all():
         n, t = np.argwhere(~np.isfinite(states).all(axis=-1))[0]
         raise ValueError(
             f"{type(problem.mdp).__name__}.dynamics returned {states[n, t].tolist()} at step {t} "
             f"from state {states[n, t - 1].tolist()}: expected finite numbers"
         )
-    space = job.record.space
+    numbers = _Numbers(
+        np.asarray(trajectory.total_reward)[:used],
+        np.asarray(trajectory.log_probability)[:used],
+        np.asarray(trajectory.length)[:used],
+    )
+    log_weight = log_weights(job.record, numbers)
     return _Chunk(
-        np.asarray(trajectory.total_reward),
-        np.asarray(trajectory.log_probability),
-        np.asarray(trajectory.length),
-        job.record.hypotheses.violations(states, space, problem.between_states),
-        states,
+        numbers,
+        job.record.hypotheses.violations(states, job.record.space, problem.between_states),
+        states[_at(_points(), log_weight)[0]],
+        float(np.logaddexp.reduce(log_weight)),
     )
 
 
-def _keep(job: _Job, chunk: _Chunk) -> np.ndarray:
-    """Draw a few whole trajectories by weight, evenly spaced through the cumulative weights."""
-    log_weight = estimators.log_weights(
-        chunk.total_reward,
-        chunk.log_probability,
-        chunk.length,
-        beta=job.record.beta,
-        measure=job.record.measure,
-        num_actions=job.record.num_actions,
-    )
-    cumulative = np.cumsum(estimators.normalise(log_weight))
-    points = (np.arange(NUM_KEPT) + 0.5) / NUM_KEPT * cumulative[-1]
-    return chunk.states[np.searchsorted(cumulative, points)]
+def _points() -> np.ndarray:
+    """Return NUM_KEPT points spread evenly over [0, 1]."""
+    return (np.arange(NUM_KEPT) + 0.5) / NUM_KEPT
+
+
+def _at(points: np.ndarray, log_weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which item each share of the cumulative weight falls on, and how far into it."""
+    if np.isneginf(log_weight).all():  # nothing is allowed; whoever weighs them will say so
+        return np.zeros(len(points), int), np.zeros(len(points))
+    cumulative = np.concatenate([[0.0], np.cumsum(estimators.normalise(log_weight))])
+    cumulative /= cumulative[-1]
+    item = np.searchsorted(cumulative, points, side="right") - 1
+    within = (points - cumulative[item]) / np.diff(cumulative)[item]
+    return item, within

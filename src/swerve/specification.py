@@ -308,5 +308,5 @@ _CONVERSIONS: dict[type, Callable[[str], Any]] = {
 def _canonical(value: str) -> str:
     if not PLAIN_NUMBER.fullmatch(value):
         return value
-    number = repr(float(value))
+    number = repr(float(value)).removesuffix(".0")
     return number if Decimal(number) == Decimal(value) else value

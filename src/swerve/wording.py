@@ -41,9 +41,15 @@ def sentence(inference: Inference) -> str:
     what, value = short_hypothesis(inference, best), score(inference, best)
     value += _tied(inference)
     if not inference.demonstrations:
+        tasks = counted(inference.evidence.num_tasks, "task")
+        most = (
+            "what someone under no constraint enters most often is"
+            if inference.score_name == "average"
+            else "the one that a demonstration of every task would speak for most is"
+        )
         return (
-            "There are no demonstrations yet, so this is the prior ranking: what someone under no "
-            f"constraint enters most is {what} ({value})."
+            f"There are no demonstrations yet, so this is the prior ranking over {tasks}: {most} "
+            f"{what} ({value})."
         )
     basis = counted(len(inference.demonstrations), "demonstration")
     if inference.score[best] <= TIE_ERRORS * inference.score_error[best]:

@@ -1,22 +1,25 @@
 """The work folder: what one problem has cost so far, kept for the next call.
 
-    problem.json            the problem as data, and hashes of the source files it came from
-    <solver>.nominal        what the solver learned
-    <solver>.evidence       what sampling it told
-    <solver>.checkpoint     training that is under way
+    problem.json                                   the problem as data, hashes of the source files
+                                                   it came from, and the settings used last
+    <solver>.seed<S>.nominal                       what the solver learned
+    <solver>.seed<S>.<method>.<N>.evidence         what sampling it told
+    <solver>.seed<S>.checkpoint                    training that is under way
 
-As long as none of the sources has changed, results are read without importing JAX or user code.
-When one has, whatever rests on it is removed before anything new is written.
+Other settings make other files, so nothing is replaced. As long as none of the sources has changed,
+results are read without importing JAX or user code. When one has, whatever rests on it is removed
+before anything new is written.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from urllib.parse import quote, unquote
+from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import numpy as np
 
@@ -24,6 +27,7 @@ import swerve
 from swerve import store
 from swerve.evidence import Evidence
 from swerve.problem import ProblemRecord
+from swerve.samples import METHODS
 from swerve.space import Task
 from swerve.specification import Specification, canonical_problem, file_hash, source_hashes
 
@@ -33,29 +37,42 @@ if TYPE_CHECKING:
 
 RESULTS = ("*.nominal", "*.evidence", "*.checkpoint")
 NUM_PRIOR_TASKS = 8
+SAVE_INTERVAL = 60.0  # s between two saves while sampling
 
 
 @dataclasses.dataclass(frozen=True)
-class SampleSettings:
-    """How to sample; None takes what the folder holds, or else the default.
+class Settings:
+    """How to learn and sample; what is None is as last time, or else the default.
 
     Attributes:
-      num_trajectories: N a task (default 10,000).
-      method: "importance" (default) or "plain".
+      solver: a solver specification (default: `nominal.default_solver`).
       seed: of learning and sampling (default 0).
+      method: "importance" (default) or "plain".
+      num_trajectories: N a task (default 10,000).
+
+    Raises:
+      ValueError: if there is no such method, or a number is out of range.
     """
 
-    num_trajectories: int | None = None
-    method: str | None = None
+    solver: str | None = None
     seed: int | None = None
+    method: str | None = None
+    num_trajectories: int | None = None
 
-    def fits(self, evidence: Evidence) -> bool:
-        """Return whether evidence was made with these settings."""
-        return all(
-            wanted is None or wanted == getattr(evidence, field.name)
-            for field in dataclasses.fields(self)
-            for wanted in [getattr(self, field.name)]
-        )
+    def __post_init__(self) -> None:
+        if self.solver is not None:
+            object.__setattr__(self, "solver", str(Specification.parse(self.solver)))
+        if self.method is not None and self.method not in METHODS:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if self.num_trajectories is not None and self.num_trajectories < 2:
+            raise ValueError(f"samples: expected at least 2, got {self.num_trajectories}")
+        if self.seed is not None and self.seed < 0:
+            raise ValueError(f"seed: expected a number >= 0, got {self.seed}")
+
+    def completed(self, others: Settings) -> Settings:
+        """Return these settings, with those of others where there is none."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return dataclasses.replace(others, **given)
 
 
 class Work:
@@ -64,6 +81,7 @@ class Work:
     Args:
       problem_text: a problem specification, see `specification.load_problem`.
       folder: where results are kept, or None.
+      settings: how to learn and sample.
       say: called with a line of text on what is found or done.
       progress: whether to show progress bars.
 
@@ -76,6 +94,7 @@ class Work:
         self,
         problem_text: str,
         folder: Path | None,
+        settings: Settings | None = None,
         *,
         say: Callable[[str], None] = lambda text: None,
         progress: bool = False,
@@ -84,6 +103,8 @@ class Work:
         self.folder = folder
         self.say = say
         self.progress = progress
+        self._asked = settings or Settings()
+        self._last = Settings()  # of the folder
         self._stored = self._read_record()
 
     @property
@@ -99,65 +120,64 @@ class Work:
         from swerve.specification import load_problem
 
         problem = load_problem(self.problem_text)
-        if self.folder is not None and self._stored is None:
-            self._start_folder(problem)
+        if self._stored is not None and self._stored.fingerprint != problem.record.fingerprint:
+            self.say(f"{self.folder} is out of date (the problem has changed): working it out anew")
+            self._stored = None
         return problem
+
+    @property
+    def settings(self) -> Settings:
+        """All settings: those asked for, else those used last, else the defaults."""
+        chosen = self._asked.completed(self._last).completed(Settings(None, 0, METHODS[0], 10_000))
+        if chosen.solver is None:
+            from swerve.nominal import default_solver
+
+            chosen = dataclasses.replace(chosen, solver=default_solver(self.problem))
+        return chosen
 
     @property
     def goal_of(self) -> Callable[[np.ndarray], np.ndarray] | None:
         """What gives the goal of a demonstration that names none; None: its last state."""
         return None if self.record.goal_is_last_state else self.problem.mdp.goal_of
 
-    def evidence(
-        self, tasks: Task | None, solver: str | None, settings: SampleSettings
-    ) -> Evidence:
+    def evidence(self, tasks: Task | None) -> Evidence:
         """Return evidence for tasks, learning and sampling only what is not there yet.
 
         Args:
           tasks: starts [K, n] and goals [K, g]; None takes those of the stored evidence, or else
             draws some from the MDP.
-          solver: a solver specification; None takes the one used last, or else the default.
-          settings: how to sample.
         """
-        known = self._stored_evidence(solver, settings)
+        known = self._stored_evidence()
         if known is not None and (tasks is None or not len(_missing(known, tasks).start)):
             return known
-        solver = solver or (self._last_solver() if self._stored else None) or self._default_solver()
-        wanted = self._prior_tasks() if tasks is None else tasks
-        wanted = Task(*np.split(np.unique(np.hstack(wanted), axis=0), [wanted.start.shape[1]], 1))
-        missing = wanted if known is None else _missing(known, wanted)
-        evidence = self._sample(missing, solver, settings, known)
-        if known is not None:
-            evidence = known.joined(evidence)
-        path = self._path(solver, "evidence")
-        if path is not None:
-            evidence.save(path)
-        return evidence
+        problem = self.problem  # which may show that what is stored is out of date
+        known = self._stored_evidence()
+        wanted = self._prior_tasks(problem) if tasks is None else _distinct(tasks)
+        return self._sample(wanted if known is None else _missing(known, wanted), known)
 
-    def nominal(self, solver: str | None, seed: int | None, tasks: Task | None = None) -> Nominal:
+    def nominal(self, tasks: Task | None = None) -> Nominal:
         """Return the nominal distribution, learning it if it is not there yet.
 
         Args:
-          solver: a solver specification; None takes the one used last, or else the default.
-          seed: of learning; a stored nominal of any seed is used as it is.
           tasks: those on which training reports its progress.
         """
-        from swerve.nominal import learn, load_nominal, save_nominal
+        from swerve.nominal import learn, load_nominal, resolve_solver, save_nominal
 
-        problem = self.problem  # first, since it clears the folder of what is out of date
-        solver = solver or self._last_solver() or self._default_solver()
-        path, checkpoint = self._path(solver, "nominal"), self._path(solver, "checkpoint")
+        problem, settings = self.problem, self.settings
+        assert settings.solver is not None
+        assert settings.seed is not None
+        solver = resolve_solver(settings.solver)
+        self._begin()
+        path, checkpoint = self._path("nominal"), self._path("checkpoint")
         if path is not None and path.exists():
             self.say(f"using {path}")
             return load_nominal(path, problem)
-        if self.folder is not None:
-            store.check_writable(self.folder)
-        self.say(f"learning with {solver}: {problem.record.summary}")
+        self.say(f"learning with {settings.solver}: {problem.record.summary}")
         nominal = learn(
             problem,
             solver,
             tasks=tasks,
-            seed=seed or 0,
+            seed=settings.seed,
             progress=self.progress,
             checkpoint=checkpoint,
         )
@@ -166,64 +186,75 @@ class Work:
             checkpoint.unlink(missing_ok=True)
         return nominal
 
-    def _sample(
-        self, tasks: Task, solver: str, settings: SampleSettings, like: Evidence | None
-    ) -> Evidence:
-        from swerve.sampling import sample
+    def _sample(self, tasks: Task, known: Evidence | None) -> Evidence:
+        """Sample tasks; what is finished is kept, also when it is interrupted."""
+        from swerve.sampling import sample_each
+        from swerve.tasks import checked_tasks
 
-        if like is not None:
-            settings = SampleSettings(like.num_trajectories, like.method, like.seed)
-        if self.folder is not None:
-            store.check_writable(self.folder)
-        nominal = self.nominal(solver, settings.seed, tasks)
-        return sample(
-            nominal,
-            tasks,
-            settings.num_trajectories or 10_000,
-            method=settings.method or "importance",
-            seed=settings.seed or 0,
-            progress=self.progress,
-        )
+        settings = self.settings
+        assert settings.num_trajectories is not None
+        assert settings.method is not None
+        assert settings.seed is not None
+        checked_tasks(self.problem, tasks)  # before learning, which may take minutes
+        found = [] if known is None else [known]
+        saved, at = len(found), time.monotonic()
+        try:
+            for _, evidence in sample_each(
+                self.nominal(tasks),
+                tasks,
+                settings.num_trajectories,
+                method=settings.method,
+                seed=settings.seed,
+                progress=self.progress,
+            ):
+                found.append(evidence)
+                if time.monotonic() - at > SAVE_INTERVAL:
+                    self._save(found)
+                    saved, at = len(found), time.monotonic()
+        finally:
+            if len(found) > saved:
+                self._save(found)
+        return found[0].joined(*found[1:])
 
-    def _prior_tasks(self) -> Task:
+    def _save(self, found: list[Evidence]) -> None:
+        path = self._path("evidence")
+        if path is not None:
+            found[0].joined(*found[1:]).save(path)
+
+    def _prior_tasks(self, problem: Problem) -> Task:
         """Draw tasks for the ranking before any demonstration."""
-        import jax
+        from swerve.tasks import draw_tasks
 
-        keys = jax.random.split(jax.random.key(0), NUM_PRIOR_TASKS)
         self.say(f"no demonstrations and no tasks: drawing {NUM_PRIOR_TASKS} tasks from the MDP")
-        start, goal = jax.vmap(self.problem.mdp.sample_task)(keys)
-        return Task(np.asarray(start, np.float64), np.asarray(goal, np.float64))
+        return draw_tasks(problem, NUM_PRIOR_TASKS)
 
-    def _default_solver(self) -> str:
-        from swerve.nominal import default_solver
-
-        return default_solver(self.problem)
-
-    def _path(self, solver: str, suffix: str) -> Path | None:
-        """Return the file of a solver's results; parameters are part of its name."""
+    def _path(self, suffix: str) -> Path | None:
+        """Return the file of a result, named after all settings that it depends on."""
         if self.folder is None:
             return None
-        return self.folder / f"{quote(str(Specification.parse(solver)), safe='=')}.{suffix}"
+        settings = self.settings
+        name = f"{quote(str(settings.solver), safe='=')}.seed{settings.seed}"
+        if suffix == "evidence":
+            name = f"{name}.{settings.method}.{settings.num_trajectories}"
+        return self.folder / f"{name}.{suffix}"
 
-    def _last_solver(self) -> str | None:
-        """Return the solver whose results were written last, or None."""
-        if self.folder is None:
+    def _stored_evidence(self) -> Evidence | None:
+        """Return the stored evidence that was made with these settings."""
+        if self._stored is None:
             return None
-        files = [path for pattern in RESULTS for path in self.folder.glob(pattern)]
-        if not files:
-            return None
-        return unquote(max(files, key=lambda path: path.stat().st_mtime).stem)
-
-    def _stored_evidence(self, solver: str | None, settings: SampleSettings) -> Evidence | None:
-        """Return the stored evidence of a solver if it was sampled as asked."""
-        solver = solver or self._last_solver()
-        path = self._path(solver, "evidence") if solver is not None else None
-        if self._stored is None or path is None or not path.exists():
+        path = self._path("evidence")
+        if path is None or not path.exists():
             return None
         evidence = Evidence.load(path)
+        if evidence.problem.fingerprint != self._stored.fingerprint:
+            raise store.StoreError(
+                path,
+                "holds evidence of another version of the problem",
+                "remove it, and it is made again",
+            )
         if evidence.problem.needs_code:
-            evidence = dataclasses.replace(evidence, problem=self.problem.record)
-        return evidence if settings.fits(evidence) else None
+            return dataclasses.replace(evidence, problem=self.problem.record)
+        return evidence
 
     def _read_record(self) -> ProblemRecord | None:
         """Return the folder's problem if it is this one and nothing it came from has changed."""
@@ -236,6 +267,7 @@ class Work:
                 f"{self.folder} holds the results of {stored['problem']!r}, not of {asked!r}: "
                 "name another --work folder"
             )
+        self._last = Settings(**stored["settings"])
         changes = [
             f"{path} has changed"
             for path, old in stored["sources"].items()
@@ -248,26 +280,43 @@ class Work:
             return None
         return ProblemRecord.from_json(stored["record"])
 
-    def _start_folder(self, problem: Problem) -> None:
-        """Remove what rests on an older version of the problem, then record this one."""
-        assert self.folder is not None
+    def _begin(self) -> None:
+        """Make the folder ready to be written: nothing out of date in it, these settings noted."""
+        if self.folder is None:
+            return
         store.check_writable(self.folder)
-        results = [path for pattern in RESULTS for path in self.folder.glob(pattern)]
-        if results and not (self.folder / "problem.json").exists():
+        if self._stored is None:
+            self._remove_results(self.folder)
+        settings = self.settings
+        if self._stored is not None and settings == self._last:
+            return
+        data = {
+            "problem": canonical_problem(self.problem_text),
+            "record": self.problem.record.to_json(),
+            "settings": dataclasses.asdict(settings),
+            "sources": source_hashes(self.problem),
+            "swerve": swerve.__version__,
+        }
+        store.write_json(self.folder / "problem.json", data)
+        self._stored, self._last = self.problem.record, settings
+
+    @staticmethod
+    def _remove_results(folder: Path) -> None:
+        """Remove what rests on an older version of the problem."""
+        results = [path for pattern in RESULTS for path in folder.glob(pattern)]
+        if results and not (folder / "problem.json").exists():
             raise ValueError(
-                f"{self.folder} holds {results[0].name} but no problem.json, so it is no work "
+                f"{folder} holds {results[0].name} but no problem.json, so it is no work "
                 "folder of swerve: name another --work folder"
             )
         for path in results:
             path.unlink()
-        data: dict[str, Any] = {
-            "problem": canonical_problem(self.problem_text),
-            "record": problem.record.to_json(),
-            "sources": source_hashes(problem),
-            "swerve": swerve.__version__,
-        }
-        store.write_json(self.folder / "problem.json", data)
-        self._stored = problem.record
+
+
+def _distinct(tasks: Task) -> Task:
+    """Return each task once."""
+    rows = np.unique(np.hstack(tasks), axis=0)
+    return Task(*np.split(rows, [tasks.start.shape[1]], axis=1))
 
 
 def _missing(evidence: Evidence, tasks: Task) -> Task:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -175,15 +175,19 @@ class GridNominal:
         """Return nothing: the values of a goal are cheaper to work out than to keep."""
         return {}
 
-    def policies(self, goals: np.ndarray) -> Iterator[GridPolicy]:
+    def policies(
+        self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
+    ) -> Iterator[GridPolicy]:
         """Yield the policy of each goal [G, g] in turn, in blocks that fit memory."""
         bytes_a_goal = 4 * self.grid.num_nodes * (self.problem.mdp.num_steps + 1)
         block = max(1, VALUES_BYTES // bytes_a_goal)
         for first in range(0, len(goals), block):
-            for values in self.backward(goals[first : first + block]):
+            for values in self.backward(goals[first : first + block], advance):
                 yield GridPolicy(self.problem, self.grid, jnp.asarray(values))
 
-    def backward(self, goals: np.ndarray) -> np.ndarray:
+    def backward(
+        self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
+    ) -> np.ndarray:
         """Return the soft values [G, T+1, S] at the nodes for goals [G, g], nats."""
         problem, successors = self.problem, self._successors
         mdp, num_nodes = problem.mdp, self.grid.num_nodes
@@ -200,6 +204,7 @@ class GridNominal:
             value -= _measure_offset(problem)
             np.copyto(value, model.node_terminal, where=model.node_ended)
             values[:, step] = value.T
+            advance(len(goals) / mdp.num_steps)
         return values
 
     @cached_property

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,9 +27,11 @@ from jaxtyping import Array, Float, Int
 from swerve import estimators, store
 from swerve.problem import Problem
 from swerve.progress import progress_bar
+from swerve.samples import log_weights
 from swerve.solvers.networks import DenseNetwork
 from swerve.solvers.ppo_training import PPOState, Trainer
 from swerve.space import Task
+from swerve.tasks import draw_tasks
 from swerve.trajectory import rollout
 
 KIND = "swerve-ppo-checkpoint"
@@ -180,9 +182,12 @@ class PPONominal:
         """Return the policy's weights."""
         return _to_arrays(self.policy.network)
 
-    def policies(self, goals: np.ndarray) -> Iterator[PPOPolicy]:
+    def policies(
+        self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
+    ) -> Iterator[PPOPolicy]:
         """Yield the same policy for each goal."""
         for _ in goals:
+            advance(1.0)
             yield self.policy
 
 
@@ -191,8 +196,7 @@ class _Probe:
 
     def __init__(self, problem: Problem, tasks: Task | None) -> None:
         if tasks is None:
-            keys = jax.random.split(jax.random.key(0), NUM_PROBE_TASKS)
-            tasks = Task(*jax.vmap(problem.mdp.sample_task)(keys))
+            tasks = draw_tasks(problem, NUM_PROBE_TASKS)
         self.problem = problem
         self.tasks = Task(*(np.asarray(x[:NUM_PROBE_TASKS], np.float32) for x in tasks))
 
@@ -200,19 +204,11 @@ class _Probe:
         """Return for example 'KL 0.84 nats  ESS 35 %', medians over the tasks."""
         start, goal = (jnp.repeat(jnp.asarray(x.T), NUM_PROBES, axis=1) for x in self.tasks)
         drawn = rollout(self.problem, policy, start, goal, jax.random.key(0), start.shape[1])
-        log_weights = estimators.log_weights(
-            np.asarray(drawn.total_reward),
-            np.asarray(drawn.log_probability),
-            np.asarray(drawn.length),
-            beta=self.problem.beta,
-            measure=self.problem.measure,
-            num_actions=self.problem.mdp.num_actions,
-        ).reshape(-1, NUM_PROBES)
+        log_weight = log_weights(self.problem.record, drawn).reshape(-1, NUM_PROBES)
         divergences, sizes = [], []
-        for log_weight in log_weights[np.isfinite(log_weights).any(axis=1)]:
-            log_partition = estimators.log_partition(log_weight)
-            divergences.append(estimators.kl_divergence(log_weight, log_partition))
-            sizes.append(estimators.effective_sample_size(log_weight) / NUM_PROBES)
+        for row in log_weight[np.isfinite(log_weight).any(axis=1)]:
+            divergences.append(estimators.kl_divergence(row, estimators.log_partition(row)))
+            sizes.append(estimators.effective_sample_size(row) / NUM_PROBES)
         if not sizes:
             return "every probe enters a known constraint"
         return f"KL {np.median(divergences):.2f} nats  ESS {100 * np.median(sizes):.0f} %"

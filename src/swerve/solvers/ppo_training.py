@@ -20,11 +20,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Bool, Int, Key
 
 from swerve.problem import Problem
 from swerve.solvers import losses
 from swerve.solvers.networks import DenseNetwork
+from swerve.tasks import can_begin
 from swerve.trajectory import draw_action, take_step
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class Batch(NamedTuple):
     action: Array
     log_probabilities: Array
     advantage: Array
+    value: Array
     target: Array
 
 
@@ -90,7 +92,8 @@ class Trainer:
         """Return what training starts from."""
         settings, mdp = self.settings, self.problem.mdp
         key_policy, key_value, key_lanes = jax.random.split(jax.random.key(self.seed), 3)
-        lanes = self.fresh_lanes(key_lanes, explore=1.0)  # at any time, so that ends come evenly
+        # all at any time at first, so that ends come evenly
+        lanes = self.fresh_lanes(key_lanes, settings.num_lanes, explore=1.0)
         features = over_lanes(mdp.features, -1, -1, -1)(*lanes)
         hidden = (features.shape[0], settings.width, settings.width)
         policy = DenseNetwork((*hidden, mdp.num_actions), 0.1, key=key_policy)
@@ -113,15 +116,17 @@ class Trainer:
         schedule = optax.linear_schedule(rate, rate * RATE_END, num_updates)
         return optax.chain(optax.clip_by_global_norm(10.0), optax.adam(schedule, b2=0.99, eps=1e-6))
 
-    def fresh_lanes(self, key: Key[Array, ""], explore: float) -> Lanes:
+    def fresh_lanes(self, key: Key[Array, ""], num_lanes: int, explore: float) -> Lanes:
         """Return new episodes: a share of lanes anywhere at any time, the others at a start."""
-        mdp, num_lanes = self.problem.mdp, self.settings.num_lanes
+        mdp, problem = self.problem.mdp, self.problem
         key_task, key_state, key_step = jax.random.split(key, 3)
         start, goal = over_lanes(mdp.sample_task, 0)(jax.random.split(key_task, num_lanes))
         anywhere = over_lanes(mdp.sample_state, 0)(jax.random.split(key_state, num_lanes))
         step = jax.random.randint(key_step, (num_lanes,), 0, mdp.num_steps)
         explores = jnp.arange(num_lanes) < explore * num_lanes
-        return Lanes(jnp.where(explores, anywhere, start), jnp.where(explores, step, 0), goal)
+        lanes = Lanes(jnp.where(explores, anywhere, start), jnp.where(explores, step, 0), goal)
+        begins = over_lanes(partial(can_begin, problem), -1, -1)(lanes.state, lanes.goal)
+        return jax.tree.map(lambda x: x[..., _replacements(begins)], lanes)
 
     @partial(jax.jit, static_argnums=(0, 2))
     def run(self, state: PPOState, num_iterations: int) -> PPOState:
@@ -147,8 +152,11 @@ class Trainer:
         """Roll out one segment; a lane whose episode ends goes on with a fresh one."""
         settings, problem = self.settings, self.problem
         key_fresh, key_actions = jax.random.split(key)
-        fresh = self.fresh_lanes(key_fresh, settings.explore)
-        uniforms = jax.random.uniform(key_actions, (settings.segment, settings.num_lanes))
+        num_lanes = settings.num_lanes
+        fresh = jax.vmap(lambda key: self.fresh_lanes(key, num_lanes, settings.explore))(
+            jax.random.split(key_fresh, settings.segment)  # for every step one that could end there
+        )
+        uniforms = jax.random.uniform(key_actions, (settings.segment, num_lanes))
         offset = np.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
 
         def advance(lanes: Lanes, fresh: Lanes, uniform: Array) -> tuple[Lanes, Segment]:
@@ -165,9 +173,7 @@ class Trainer:
             return lanes, Segment(features, action, log_probabilities, reward, taken.ended)
 
         return jax.lax.scan(
-            lambda lanes, uniform: over_lanes(advance, -1, -1, -1)(lanes, fresh, uniform),
-            lanes,
-            uniforms,
+            lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
         )
 
     def batch(self, value: DenseNetwork, segment: Segment, lanes: Lanes) -> Batch:
@@ -192,7 +198,7 @@ class Trainer:
         advantage = losses.advantages(
             segment.reward, now, later, segment.ended, settings.gae_lambda
         )
-        columns = (segment.action, segment.log_probabilities, advantage, advantage + now)
+        columns = (segment.action, segment.log_probabilities, advantage, now, advantage + now)
         return Batch(features, *map(group, columns))
 
     def update(self, carry: tuple, batch: Batch) -> tuple[tuple, None]:
@@ -215,7 +221,8 @@ class Trainer:
             return losses.policy_loss(new, old, action, advantage, clip=self.settings.clip)
 
         each = over_lanes(loss, -1, -1, -1, -1)(*batch[:4])
-        return jnp.mean(each / losses.loss_scale(batch.target, self.settings.loss_scale))
+        # by a weight of the state alone, which does not move the best policy there
+        return jnp.mean(each / losses.loss_scale(batch.value, self.settings.loss_scale))
 
     def value_loss(self, value: DenseNetwork, batch: Batch) -> Array:
         """Return the mean Huber loss of relative errors of a minibatch."""
@@ -223,3 +230,12 @@ class Trainer:
         predicted = losses.value_of_output(over_lanes(value, -1)(batch.features)[0], scale)
         error = (predicted - batch.target) / losses.loss_scale(batch.target, scale)
         return jnp.mean(losses.huber(error))
+
+
+def _replacements(allowed: Bool[Array, " N"]) -> Int[Array, " N"]:
+    """Return for each lane itself where it is allowed, else the next one that is, in a circle."""
+    num_lanes = allowed.shape[0]
+    lanes = jnp.arange(num_lanes)
+    ahead = jnp.where(jnp.concatenate([allowed, allowed]), jnp.arange(2 * num_lanes), 2 * num_lanes)
+    following = jax.lax.cummin(ahead, reverse=True)[:num_lanes]
+    return jnp.where(following < 2 * num_lanes, following % num_lanes, lanes)

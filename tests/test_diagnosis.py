@@ -1,0 +1,112 @@
+"""Doubts about demonstrations: each is raised where it should be and not where it should not."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from synthetic import TASKS, make_evidence, make_record
+
+from swerve.demonstrations import Demonstration
+from swerve.diagnosis import doubts, some_names
+from swerve.evidence import Evidence
+from swerve.inference import infer
+from swerve.space import Task
+
+DURATION = 0.5  # s, of the model's episodes: 5 steps of 0.1 s
+
+
+def straight(
+    to: np.ndarray, duration: float = DURATION, name: str = "a", num_states: int = 11
+) -> Demonstration:
+    """A demonstration of the second task that goes straight to a state."""
+    share = np.linspace(0.0, 1.0, num_states)[:, None]
+    start, goal = TASKS.start[1], TASKS.goal[1]
+    times = np.linspace(7.0, 7.0 + duration, num_states)
+    return Demonstration(name, start + share * (to - start), Task(start, goal), times)
+
+
+@pytest.fixture
+def evidence() -> Evidence:
+    """Evidence by which nominal trajectories end close and move as `straight` does."""
+    found = make_evidence()
+    speed = np.abs(TASKS.goal[1] - TASKS.start[1]) / DURATION
+    summary = found.summary._replace(
+        farthest_end=np.full(3, 0.01),
+        shortest=np.full(3, 0.4),
+        fastest=np.tile(speed * 1.5, (3, 1)),
+    )
+    return dataclasses.replace(found, summary=summary)
+
+
+def test_no_doubt_about_one_that_does_as_nominal_ones_do(evidence: Evidence) -> None:
+    for num_states in (3, 11, 200):
+        item = straight(TASKS.goal[1], num_states=num_states)
+        assert doubts(item, evidence, 1) == {}
+        assert doubts(dataclasses.replace(item, times=None), evidence, 1) == {}
+
+
+def test_an_end_far_from_the_goal(evidence: Evidence) -> None:
+    """Twice as far as nominal ones, and at least 5 % of the extent; an angle wraps."""
+    turn = np.array([2 * np.pi, 0.0])
+    assert doubts(straight(TASKS.goal[1] - turn), make_evidence(), 1) == {}
+    near, far = (TASKS.goal[1] + np.array([0.0, x]) for x in (0.4, 0.6))  # of an extent of 10
+    assert "end" not in doubts(straight(near), evidence, 1)
+    text = doubts(straight(far), evidence, 1)["end"]
+    assert text.startswith("ends 0.06 of the state space's extent away from its goal")
+    assert "nominal trajectories come within 0.01: cut short" in text
+    wide = evidence.summary._replace(farthest_end=np.full(3, 0.031))
+    assert "end" not in doubts(straight(far), dataclasses.replace(evidence, summary=wide), 1)
+
+
+def test_a_goal_that_is_no_state_says_nothing_of_the_end(evidence: Evidence) -> None:
+    other = dataclasses.replace(evidence, problem=make_record(goal_names=("p", "q")))
+    assert "end" not in doubts(straight(TASKS.start[1] + 0.01), other, 1)
+
+
+@pytest.mark.parametrize(
+    ("duration", "text"),
+    [
+        (0.56, "lasts 0.56 s, and the model's episodes at most 0.5 s"),
+        (0.35, "lasts 0.35 s, and nominal trajectories at least 0.4 s"),
+        (0.54, None),
+        (0.37, None),
+    ],
+)
+def test_duration(evidence: Evidence, duration: float, text: str | None) -> None:
+    found = doubts(straight(TASKS.goal[1], duration), evidence, 1)
+    assert found.get("duration", "").startswith(text or "")
+    assert ("duration" in found) == (text is not None)
+
+
+def test_degrees_are_noticed_by_their_speed(evidence: Evidence) -> None:
+    item = straight(TASKS.goal[1], num_states=200)
+    degrees = np.stack([np.degrees(item.states[:, 0]), item.states[:, 1]], axis=1)
+    for times in (item.times, None):
+        found = doubts(Demonstration("a", degrees, item.task, times), evidence, 1)
+        assert found["speed"].startswith("changes theta by ")
+        assert (
+            "times as fast as any nominal trajectory: another unit, such as degrees"
+            in (found["speed"])
+        )
+
+
+def test_single_fast_steps_are_noise(evidence: Evidence) -> None:
+    item = straight(TASKS.goal[1], num_states=200)
+    item.states[100, 1] += 1.0
+    assert "speed" not in doubts(item, evidence, 1)
+
+
+def test_warnings_name_those_they_are_about(evidence: Evidence) -> None:
+    items = [straight(TASKS.start[1] + 0.1 * k, name=f"d{k}") for k in range(6)]
+    [warning] = [text for text in infer(evidence, items).warnings if "its goal" in text]
+    assert warning.startswith("d0 ends ")
+    assert warning.endswith("(so it is with d1, d2, d3 and 2 more)")
+    good = infer(evidence, [straight(TASKS.goal[1])])
+    assert not good.warnings
+
+
+def test_some_names() -> None:
+    assert some_names(["a", "b", "c"]) == "a, b, c"
+    assert some_names(["a", "b", "c", "d"]) == "a, b, c and 1 more"
