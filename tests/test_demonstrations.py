@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from swerve.demonstrations import (
-    START_TOLERANCE,
     Demonstration,
-    check_states,
     read_demonstrations,
     read_tasks,
     write_demonstrations,
 )
 from swerve.space import TWO_PI, StateSpace, Task
+from swerve.state_checks import START_TOLERANCE, check_states
 
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
 PLANE = StateSpace(("x", "y"), (), np.array([[0.0, 10.0], [-2.0, 2.0]]))
@@ -574,3 +573,16 @@ class TestWriting:
         with pytest.raises(KeyboardInterrupt):
             write_demonstrations(tmp_path, [make([[1, 0], [2, 0]])], PLANE)
         assert list(tmp_path.iterdir()) == []
+
+
+def test_all_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    paths = [save(tmp_path / f"demo_{k}.csv", ROWS) for k in range(14)]
+    for path in paths[1:13]:
+        path.write_text("x,y\n1,0\n1,nan\n")
+    with pytest.raises(ValueError, match="12 of 14 files cannot be used:") as raised:
+        read_demonstrations(paths, PLANE)
+    lines = str(raised.value).split("\n")
+    assert len(lines) == 12
+    for path, line in zip(paths[1:11], lines[1:11], strict=True):
+        assert f"{path}: row 2" in line
+    assert lines[-1].strip() == "... and 2 more"

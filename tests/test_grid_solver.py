@@ -62,6 +62,22 @@ def test_known_constraints_agree_with_enumeration(between_states: bool) -> None:
     assert_agrees(problem, CART_TASK, least_ess=0.2)
 
 
+def test_a_thin_wall_that_is_dear_to_go_round_is_gone_round() -> None:
+    """Thinner than the nodes lie apart, more than 30 nats to avoid: nothing of V leaks through."""
+    wall = Box(x=(0.1, 0.105), v=(-0.75, 9.0))
+    problem = short_cart(known=[wall], beta=40.0)
+    free = enumerate_exactly(short_cart(beta=40.0), CART_TASK.start, CART_TASK.goal)
+    exact = enumerate_exactly(problem, CART_TASK.start, CART_TASK.goal)
+    assert free.log_partition - exact.log_partition > 30.0
+    evidence = sample(learn(problem, Grid(num_points=61)), CART_TASK, 4_000)
+    ess = evidence.effective_sample_size[0]
+    assert ess > 200
+    error = STANDARD_ERRORS / math.sqrt(ess)
+    assert evidence.log_partition[0] == pytest.approx(exact.log_partition, abs=error)
+    difference = evidence.violation_probability[0] - exact.violation_probability
+    assert np.abs(difference).max() < error
+
+
 def test_known_predicate_is_the_same_as_the_box_it_describes() -> None:
     box = Box(x=(-0.2, 0.3))
     predicate = Predicate("strip", lambda states: (states[..., 0] >= -0.2) & (states[..., 0] < 0.3))

@@ -21,10 +21,11 @@ from typing import Any
 import numpy as np
 
 from swerve.constraints import violates
-from swerve.demonstrations import Demonstration, check_states
+from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
 from swerve.hypotheses import unpack
 from swerve.problem import ProblemRecord
+from swerve.state_checks import check_states
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart

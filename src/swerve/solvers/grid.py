@@ -11,8 +11,9 @@ evaluated at the state itself, not at a node, so interpolation errors enter V al
 not depend on time nor on the goal, so interpolation at all successors of all nodes is one sparse
 matrix, and tasks with the same goal share one backward pass.
 
-In the backward pass each step into a known constraint costs a finite penalty, which keeps V
-finite; the policy forbids such steps outright.
+Steps into a known constraint are left out of the sum. A node from which every step is forbidden is
+closed, and so is one whose steps all lead to where only closed nodes are around. V at a state is
+interpolated from nodes that are open and in sight, not behind a wall.
 
 Shapes: S nodes, A actions, T steps, n state dimensions, G goals solved at once.
 """
@@ -25,26 +26,32 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
 from jaxtyping import Array, Float, Int
 
 from swerve.problem import Problem
-from swerve.solvers.interpolation import STENCIL, StateGrid, choose_smooth
+from swerve.solvers.grid_model import (
+    CLIFF,
+    CLOSED,
+    FORBIDDEN,
+    Successors,
+    find_successors,
+    goal_model,
+    in_sight,
+    is_open,
+)
+from swerve.solvers.interpolation import StateGrid, choose_smooth
 from swerve.space import Task
 from swerve.trajectory import enters
 
-KNOWN_PENALTY = 20.0  # nats a step; e^-20 of the forbidden mass is left in V
 MAX_DIMENSIONS = 3
 DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # along a straight axis; angles have half as many
 VALUES_BYTES = 1 << 30  # backward passes that are held at once
 MATRIX_BYTES = 8 << 30
-FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
 
 
 @dataclass(frozen=True)
@@ -100,8 +107,9 @@ class Grid:
             resolution = (self.num_points,) * len(space.names)
         else:
             resolution = tuple(self.num_points)
-        num_nodes = StateGrid(space, resolution).num_nodes
-        matrix = 8 * num_nodes * problem.mdp.num_actions * STENCIL ** len(space.names)
+        num_nodes, n = StateGrid(space, resolution).num_nodes, len(space.names)
+        # 8 bytes an entry, twice while the actions' parts are joined
+        matrix = 2 * 8 * num_nodes * problem.mdp.num_actions * (4**n + 2**n)
         values = 4 * num_nodes * (problem.mdp.num_steps + 1)
         if max(matrix, values) > MATRIX_BYTES:
             raise ValueError(
@@ -140,7 +148,7 @@ class GridPolicy(eqx.Module):
         def action_value(action: Array) -> Array:
             next_state = mdp.dynamics(state, action)
             ended = mdp.terminated(next_state, goal) | (step == mdp.num_steps - 1)
-            value = self.grid.interpolate(values, next_state)
+            value = self._value(values, next_state)
             value = jnp.where(ended, beta * mdp.terminal_reward(next_state, goal), value)
             value = value + beta * mdp.reward(state, action, next_state, goal)
             forbidden = enters(
@@ -149,6 +157,18 @@ class GridPolicy(eqx.Module):
             return jnp.where(forbidden, FORBIDDEN, value)
 
         return jax.vmap(action_value)(mdp.actions)
+
+    def _value(self, values: Float[Array, " S"], state: Float[Array, " n"]) -> Float[Array, ""]:
+        """Return V at a state from V at the nodes that are open and in sight."""
+        if not self.problem.known:
+            return self.grid.interpolate(values, state)
+        cubic, (nodes, weights) = self.grid.cubic(state), in_sight(self.problem, self.grid, state)
+        weights = jnp.where(is_open(values[nodes]), weights, 0.0)
+        reach = jnp.sum(weights)
+        linear = jnp.sum(values[nodes] * weights) / jnp.maximum(reach, 1e-9)
+        around = values[cubic.nodes]
+        smooth = jnp.sum(jnp.where(is_open(around), around, CLIFF) * cubic.weights)
+        return jnp.where(reach > 0.0, choose_smooth(jnp, smooth, linear), CLOSED)
 
     def soft_value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -191,15 +211,16 @@ class GridNominal:
         """Return the soft values [G, T+1, S] at the nodes for goals [G, g], nats."""
         problem, successors = self.problem, self._successors
         mdp, num_nodes = problem.mdp, self.grid.num_nodes
-        model = _goal_model(problem, self.grid.nodes(), successors, goals)
+        model = goal_model(problem, self.grid.nodes(), successors, goals)
         values = np.empty((len(goals), mdp.num_steps + 1, num_nodes), np.float32)
         value, following = model.node_terminal, model.successor_terminal.copy()
         values[:, mdp.num_steps] = value.T
         for step in range(mdp.num_steps - 1, -1, -1):
             if step < mdp.num_steps - 1:
-                following = choose_smooth(np, successors.cubic @ value, successors.linear @ value)
+                following = successors.interpolate(value)
                 np.copyto(following, model.successor_terminal, where=model.successor_ended)
             following += model.reward
+            following[successors.forbidden] = FORBIDDEN
             value = _log_sum_exp(following.reshape(mdp.num_actions, num_nodes, len(goals)))
             value -= _measure_offset(problem)
             np.copyto(value, model.node_terminal, where=model.node_ended)
@@ -208,111 +229,8 @@ class GridNominal:
         return values
 
     @cached_property
-    def _successors(self) -> _Successors:
-        return _successors(self.problem, self.grid)
-
-
-@dataclass(frozen=True)
-class _Successors:
-    """All successors of all nodes, in order of action then node.
-
-    Attributes:
-      states: [A*S, n].
-      cubic: [A*S, S] sparse; times values at nodes, gives values at successors.
-      linear: [A*S, S] the same by linear interpolation.
-      penalty: [A*S] nats, for steps into a known constraint.
-    """
-
-    states: np.ndarray
-    cubic: Any
-    linear: Any
-    penalty: np.ndarray
-
-
-@dataclass(frozen=True)
-class _GoalModel:
-    """What depends on the goals: [S, G] at nodes, [A*S, G] at successors, in nats."""
-
-    node_terminal: np.ndarray
-    node_ended: np.ndarray
-    successor_terminal: np.ndarray
-    successor_ended: np.ndarray
-    reward: np.ndarray
-
-
-def _successors(problem: Problem, grid: StateGrid) -> _Successors:
-    """Step every action from every node and find the weights that interpolate there."""
-    mdp = problem.mdp
-
-    @jax.jit
-    def successors_of(action: Array, nodes: Array) -> tuple[Array, ...]:
-        def step(state: Array) -> tuple[Array, ...]:
-            next_state = mdp.dynamics(state, action)
-            forbidden = enters(problem.known, state, next_state, mdp, problem.between_states)
-            return next_state, *grid.stencil(next_state), forbidden
-
-        return jax.vmap(step)(nodes)
-
-    nodes = jnp.asarray(grid.nodes(), jnp.float32)
-    parts = [successors_of(action, nodes) for action in mdp.actions]
-    states, columns, cubic, linear, forbidden = (
-        np.concatenate([np.asarray(part) for part in field]) for field in zip(*parts, strict=True)
-    )
-    _check_finite(states, grid, f"{type(mdp).__name__}.dynamics")
-    return _Successors(
-        states,
-        _sparse(columns, cubic, grid.num_nodes),
-        _sparse(columns, linear, grid.num_nodes),
-        KNOWN_PENALTY * forbidden,
-    )
-
-
-def _sparse(columns: np.ndarray, weights: np.ndarray, num_nodes: int) -> scipy.sparse.csr_matrix:
-    """Return the sparse matrix of stencils, nodes [R, K] and their weights, without its zeros."""
-    rows = np.arange(0, columns.size + 1, columns.shape[1])
-    matrix = scipy.sparse.csr_matrix(
-        (weights.ravel(), columns.ravel(), rows), shape=(len(columns), num_nodes), copy=True
-    )
-    matrix.eliminate_zeros()  # in place, hence the copy
-    return matrix
-
-
-def _goal_model(
-    problem: Problem, nodes: np.ndarray, successors: _Successors, goals: np.ndarray
-) -> _GoalModel:
-    """Evaluate rewards and endings at all nodes and successors, for every goal."""
-    mdp, beta = problem.mdp, problem.beta
-
-    @jax.jit
-    def at_states(states: Array, goal: Array) -> tuple[Array, Array]:
-        terminal = jax.vmap(mdp.terminal_reward, (0, None))(states, goal)
-        return beta * terminal, jax.vmap(mdp.terminated, (0, None))(states, goal)
-
-    @jax.jit
-    def rewards(states: Array, next_states: Array, goal: Array) -> Array:
-        def reward(action: Array, following: Array) -> Array:
-            return jax.vmap(mdp.reward, (0, None, 0, None))(states, action, following, goal)
-
-        return beta * jax.vmap(reward)(mdp.actions, next_states).reshape(-1)
-
-    states = jnp.asarray(nodes, jnp.float32)
-    next_states = jnp.asarray(successors.states).reshape(mdp.num_actions, *nodes.shape)
-    columns = [
-        (
-            *at_states(states, goal),
-            *at_states(next_states.reshape(-1, nodes.shape[1]), goal),
-            rewards(states, next_states, goal),
-        )
-        for goal in jnp.asarray(goals, jnp.float32)
-    ]
-    model = _GoalModel(*(np.stack(field, axis=-1) for field in zip(*columns, strict=True)))
-    for label, value in (("terminal_reward", model.node_terminal), ("reward", model.reward)):
-        if not np.isfinite(value).all():
-            raise ValueError(
-                f"{type(mdp).__name__}.{label} is not finite somewhere within the bounds: "
-                "the grid solver needs finite rewards at every node"
-            )
-    return dataclasses.replace(model, reward=model.reward - successors.penalty[:, None])
+    def _successors(self) -> Successors:
+        return find_successors(self.problem, self.grid)
 
 
 def _log_sum_exp(action_values: np.ndarray) -> np.ndarray:
@@ -329,13 +247,3 @@ def _log_sum_exp(action_values: np.ndarray) -> np.ndarray:
 def _measure_offset(problem: Problem) -> float:
     """Return what the base measure takes off each step's log-sum: log A if uniform, else 0."""
     return math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
-
-
-def _check_finite(states: np.ndarray, grid: StateGrid, origin: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(states).all(axis=1))
-    if bad.size:
-        node = grid.nodes()[bad[0] % grid.num_nodes]
-        raise ValueError(
-            f"{origin} returned {states[bad[0]].tolist()} from state {node.tolist()}: expected "
-            "finite states everywhere within the bounds"
-        )

@@ -33,13 +33,11 @@ class Stencil(NamedTuple):
 
     Attributes:
       nodes: [K] indices of nodes.
-      cubic: [K] weights of cubic interpolation.
-      linear: [K] weights of linear interpolation, most of them 0.
+      weights: [K] which sum to 1.
     """
 
     nodes: Int[Array, " K"]
-    cubic: Float[Array, " K"]
-    linear: Float[Array, " K"]
+    weights: Float[Array, " K"]
 
 
 class StateGrid:
@@ -82,47 +80,65 @@ class StateGrid:
         ]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(self.num_nodes, -1)
 
-    def stencil(self, state: Float[Array, " n"]) -> Stencil:
-        """Return the nodes and weights that interpolate at one state."""
-        stencil = Stencil(jnp.zeros(1, jnp.int32), jnp.ones(1), jnp.ones(1))
-        for points, axis in zip(self.num_points, self._axis_stencils(state), strict=True):
-            stencil = Stencil(
-                (stencil.nodes[:, None] * points + axis.nodes).reshape(-1),
-                (stencil.cubic[:, None] * axis.cubic).reshape(-1),
-                (stencil.linear[:, None] * axis.linear).reshape(-1),
-            )
-        return stencil
+    def cubic(self, state: Float[Array, " n"]) -> Stencil:
+        """Return the 4^n nodes around a state and their weights for cubic interpolation."""
+        return self._product([Stencil(near, _cubic_weights(x)) for near, x in self._axes(state)])
+
+    def linear(self, state: Float[Array, " n"]) -> Stencil:
+        """Return the 2^n nodes around a state and their weights for linear interpolation."""
+        axes = []
+        for k, points in enumerate(self.num_points):
+            position, last = self._position(state, k), points if self.periodic[k] else points - 1
+            below = jnp.clip(jnp.floor(position), 0, last - 1)
+            near = below.astype(jnp.int32) + jnp.arange(2)
+            x = position - below
+            axes.append(Stencil(jnp.where(near < points, near, 0), jnp.stack([1.0 - x, x])))
+        return self._product(axes)
 
     def interpolate(
         self, values: Float[Array, " S"], state: Float[Array, " n"]
     ) -> Float[Array, ""]:
         """Return the value at one state from values at the nodes, contracting axis by axis."""
-        axes = self._axis_stencils(state)
+        axes = self._axes(state)
         nodes = jnp.zeros((), jnp.int32)
-        for points, axis in zip(self.num_points, axes, strict=True):
-            nodes = nodes[..., None] * points + axis.nodes
+        for points, (near, _) in zip(self.num_points, axes, strict=True):
+            nodes = nodes[..., None] * points + near
         cubic = linear = values[nodes]
-        for axis in reversed(axes):
-            cubic = jnp.sum(cubic * axis.cubic, axis=-1)
-            linear = jnp.sum(linear * axis.linear, axis=-1)
+        for _, x in reversed(axes):
+            cubic = jnp.sum(cubic * _cubic_weights(x), axis=-1)
+            linear = jnp.sum(linear * _linear_weights(x), axis=-1)
         return choose_smooth(jnp, cubic, linear)
 
-    def _axis_stencils(self, state: Float[Array, " n"]) -> list[Stencil]:
-        """Return the 4 nodes of each axis, numbered along it, and their weights."""
+    def _product(self, axes: list[Stencil]) -> Stencil:
+        nodes, weights = jnp.zeros(1, jnp.int32), jnp.ones(1)
+        for points, axis in zip(self.num_points, axes, strict=True):
+            nodes = (nodes[:, None] * points + axis.nodes).reshape(-1)
+            weights = (weights[:, None] * axis.weights).reshape(-1)
+        return Stencil(nodes, weights)
+
+    def _axes(self, state: Float[Array, " n"]) -> list[tuple[Int[Array, "4"], Float[Array, ""]]]:
+        """Return for each axis 4 nodes, numbered along it, and where the state lies among them.
+
+        The nodes lie at -1, 0, 1 and 2.
+        """
         axes = []
         for k, points in enumerate(self.num_points):
-            position = (state[k] - self.low[k]) / self.spacing[k]
-            if self.periodic[k]:
-                position = position - points * jnp.floor(position / points)  # vectorised, % is not
-                below = jnp.floor(position)
-            else:
-                position = jnp.clip(position, 0.0, points - 1.0)
-                below = jnp.clip(jnp.floor(position), 1.0, points - 3.0)
+            position = self._position(state, k)
+            below = jnp.floor(position)
+            if not self.periodic[k]:
+                below = jnp.clip(below, 1.0, points - 3.0)
             near = below.astype(jnp.int32) + jnp.arange(-1, 3)
             near = jnp.where(near < 0, near + points, jnp.where(near < points, near, near - points))
-            x = position - below
-            axes.append(Stencil(near, _cubic_weights(x), _linear_weights(x)))
+            axes.append((near, position - below))
         return axes
+
+    def _position(self, state: Float[Array, " n"], axis: int) -> Float[Array, ""]:
+        """Return where a state lies along an axis, in nodes from the first."""
+        points = self.num_points[axis]
+        position = (state[axis] - self.low[axis]) / self.spacing[axis]
+        if self.periodic[axis]:
+            return position - points * jnp.floor(position / points)  # vectorised, % is not
+        return jnp.clip(position, 0.0, points - 1.0)
 
 
 def choose_smooth(xp: Any, cubic: Any, linear: Any) -> Any:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 HUBER_DELTA = 2.0
+LEAST_ADVANTAGE = -5.0  # nats; e^-5 leaves next to nothing of an action, more drowns the others
 LARGEST_EXPONENT = 8.0  # of the value scale: values up to about scale * 3000 nats
 
 
@@ -59,7 +60,9 @@ def policy_loss(
     """Return the clipped surrogate of one step, with KL(new || old) against it.
 
     Without the clip its minimum is pi_old exp(advantage) normalised, the soft policy improvement.
+    Advantages count down to LEAST_ADVANTAGE.
     """
+    advantage = jnp.maximum(advantage, LEAST_ADVANTAGE)
     log_ratio = log_probabilities - old_log_probabilities
     ratio = jnp.exp(select(log_ratio, action))
     clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
