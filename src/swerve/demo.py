@@ -1,6 +1,6 @@
 """The bundled quick start: a problem and demonstrations that this project made.
 
-Made by `swerve demonstrate "pendulum?max_torque=10" --constraint 55 --num 20 --out FOLDER`.
+Made by `swerve demonstrate "pendulum?max_torque=10" --constraint 55 --num 24 --out FOLDER`.
 """
 
 from pathlib import Path
