@@ -159,7 +159,7 @@ def make_learner(
         n_epochs=num_epochs,
         gamma=1.0,
         ent_coef=1.0 / BETA,
-        policy_kwargs={"net_arch": {"pi": [64, 64], "vf": [128, 128]}, "activation_fn": Tanh},
+        policy_kwargs={"net_arch": {"pi": [64, 64], "vf": [64, 64]}, "activation_fn": Tanh},
         seed=seed,
         device="cpu",
     )

@@ -7,7 +7,7 @@ in nats,
 
 so that for pi = pi_0 every return is the same number and every advantage is zero. Nothing is
 normalised or discounted. Where returns differ by orders of magnitude, losses, and nothing else, are
-divided by 1 + |return| / scale.
+divided by 1 + |value| / scale: the policy's by that of the state, the value's by that of its target.
 
 Shapes: L steps of a segment, N lanes, A actions.
 """
@@ -77,9 +77,9 @@ def huber(error: Float[Array, ""]) -> Float[Array, ""]:
     return inner * (size - 0.5 * inner)
 
 
-def loss_scale(target: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
-    """Return 1 + |target| / scale, by which losses are divided."""
-    return 1.0 + jnp.abs(target) / scale
+def loss_scale(value: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
+    """Return 1 + |value| / scale, by which losses are divided."""
+    return 1.0 + jnp.abs(value) / scale
 
 
 def value_of_output(output: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:

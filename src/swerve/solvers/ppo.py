@@ -56,7 +56,7 @@ class PPO:
       clip: of the surrogate.
       learning_rate: at first, falling linearly to a hundredth.
       width: of the two hidden layers of the policy and of the value network.
-      loss_scale: nats; losses are divided by 1 + |return| / this.
+      loss_scale: nats; losses are divided by 1 + |value| / this.
     """
 
     num_steps: int = 20_000_000
