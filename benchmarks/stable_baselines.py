@@ -5,7 +5,7 @@ The job is the goal-conditioned pendulum of the paper's section IV with torques 
     theta'' = sin(theta) + u,    R = -80 |s_T - goal|^2 - sum_t 0.05 u_t^2 dt,
 
 300 Runge-Kutta steps of 1/60 s, start and goal anew in each episode, the observation that Swerve's
-networks see, a 64 x 64 tanh policy and a 128 x 128 value. Simulation is plain Python on floats,
+networks see, a 64 x 64 tanh policy and a 64 x 64 value. Simulation is plain Python on floats,
 which is the fastest there is for one environment at a time.
 
 What is alike is the work of a step, not the objective. Swerve pays -log pi(a | s) / beta as part

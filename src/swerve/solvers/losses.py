@@ -7,7 +7,7 @@ in nats,
 
 so that for pi = pi_0 every return is the same number and every advantage is zero. Nothing is
 normalised or discounted. Where returns differ by orders of magnitude, losses, and nothing else, are
-divided by 1 + |value| / scale: the policy's by that of the state, the value's by that of its target.
+divided by 1 + |value| / scale, of the state for the policy, of the target for the value.
 
 Shapes: L steps of a segment, N lanes, A actions.
 """
