@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -76,6 +77,44 @@ def test_a_thin_wall_that_is_dear_to_go_round_is_gone_round() -> None:
     assert evidence.log_partition[0] == pytest.approx(exact.log_partition, abs=error)
     difference = evidence.violation_probability[0] - exact.violation_probability
     assert np.abs(difference).max() < error
+
+
+class Walk(MDP):
+    """Steps much shorter than the nodes lie apart; all that counts is to end beyond x = 0."""
+
+    drop: float = -10.0
+    dt: float = 1.0
+    num_steps: int = eqx.field(default=100, static=True)
+    state_names = ("x",)
+    action_names = ("u",)
+    bounds = ((-1.0, 1.0),)
+
+    @property
+    def actions(self):
+        return jnp.array([[-0.004], [0.0], [0.004]])
+
+    def dynamics(self, state, action):
+        return state + action
+
+    def reward(self, state, action, next_state, goal):
+        return jnp.zeros(())
+
+    def terminal_reward(self, state, goal):
+        return jnp.where(state[0] > 0.0114, self.drop, 0.0)
+
+
+@pytest.mark.parametrize("drop", [-1.5, -10.0, 10.0])
+def test_nothing_leaks_through_a_thin_wall_in_many_short_steps(drop: float) -> None:
+    wall = Box(x=(0.0113, 0.0114))
+    problem = Problem(Walk(drop=drop), grid(x=(-1.0, 1.0, 10)), known=[wall])
+    nominal = learn(problem, Grid(num_points=101))
+    assert isinstance(nominal, GridNominal)
+    values = nominal.backward(np.zeros((1, 1)))[0]
+    before = nominal.grid.nodes()[:, 0] < 0.0113
+    assert values[:, before].max() < 1e-4  # at most log 1: all rewards there are 0
+    assert values[:, ~before].max() < drop + 1e-4
+    free = values[0, nominal.grid.nodes()[:, 0] < -0.5]
+    np.testing.assert_allclose(free, 0.0, atol=1e-4)
 
 
 def test_known_predicate_is_the_same_as_the_box_it_describes() -> None:

@@ -159,12 +159,15 @@ def _remedy(share: float, solver: str) -> str:
 
 
 def _floored(inference: Inference) -> Iterator[str]:
-    evidence, used = inference.evidence, inference.task_counts > 0
-    floored = np.asarray(evidence.is_floored[used].any(axis=0))[inference.leaders]
-    if floored.any():
+    """Yield that scores are lower bounds where almost every nominal trajectory enters."""
+    evidence, ranking = inference.evidence, inference.ranking
+    floored = evidence.is_floored & (inference.task_counts > 0)[:, None]
+    bounds = ranking[np.flatnonzero(floored[:, ranking].any(axis=0))]
+    if len(bounds):
+        names = some_names([f"hypothesis {index}" for index in bounds])
+        resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
         yield (
-            f"hypothesis {inference.leaders[floored][0]} is entered by almost every nominal "
-            f"trajectory of a task: for each of its demonstrations the samples tell no more than "
-            f"about {-math.log(evidence.resolution[used].min()):.1f} nats, and its true score may "
-            "be higher"
+            f"the score of {names} is only a lower bound: almost every nominal trajectory of a "
+            "task enters it, and for each demonstration of such a task the samples tell no more than "
+            f"about {-math.log(resolution.min()):.1f} nats"
         )

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-BLOCK = 1024  # hypotheses unpacked at a time, a multiple of 8
+BLOCK = 128  # bytes, of 8 hypotheses each, unpacked at a time
 
 
 class Estimate(NamedTuple):
@@ -137,17 +137,22 @@ def avoid_probability(
         )
     weight = normalise(log_weight)
     rows = np.stack([weight, weight**2])
-    sums = []
-    for first in range(0, num_hypotheses, BLOCK):
-        count = min(BLOCK, num_hypotheses - first)
-        block = violations[:, first // 8 : (first + count + 7) // 8]
-        entered = np.unpackbits(block, axis=1, count=count, bitorder="little").astype(np.float64)
-        sums.append(np.concatenate([rows @ (1.0 - entered), rows @ entered]))
-    avoided, avoided_square, entered, entered_square = np.concatenate(sums, axis=1)
+    entered = np.zeros((2, 8 * violations.shape[1]))
+    avoided = np.tile([[1.0], [rows[1].sum()]], entered.shape[1])
+    touched = np.flatnonzero(np.bitwise_or.reduce(violations, axis=0, initial=0))
+    for first in range(0, len(touched), BLOCK):
+        columns = touched[first : first + BLOCK]
+        bits = np.unpackbits(violations[:, columns], axis=1, bitorder="little").astype(np.float64)
+        hypotheses = (8 * columns[:, None] + np.arange(8)).reshape(-1)
+        entered[:, hypotheses] = rows @ bits
+        avoided[:, hypotheses] -= entered[:, hypotheses]
+        rare = entered[0, hypotheses] > 0.5  # to avoid it; a difference would be rounding there
+        avoided[:, hypotheses[rare]] = rows @ (1.0 - bits[:, rare])
+    (entered, entered_square), (avoided, avoided_square) = (
+        sums[:, :num_hypotheses] for sums in (entered, avoided)
+    )
     # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
-    variance = avoided_square * entered**2 + entered_square * avoided**2
-    probability = np.where(avoided < 0.5, avoided, 1.0 - entered)  # exact at both ends
-    return Estimate(probability, variance)
+    return Estimate(avoided, avoided_square * entered**2 + entered_square * avoided**2)
 
 
 def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:

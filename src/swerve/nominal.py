@@ -75,6 +75,10 @@ class Solver(Protocol):
         """Learn pi_0."""
         ...
 
+    def check(self, problem: Problem) -> None:
+        """Raise ValueError if this solver cannot solve the problem, before any work."""
+        ...
+
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> Nominal:
         """Rebuild what `learn` returned from its `arrays`."""
         ...

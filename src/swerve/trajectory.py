@@ -135,7 +135,8 @@ def rollout(
     """
     mdp, batch = problem.mdp, (num_trajectories,)
     start, goal = (
-        jnp.broadcast_to(x.reshape(x.shape[0], -1), (x.shape[0], *batch)) for x in (start, goal)
+        jnp.broadcast_to(x if x.ndim == 2 else x[:, None], (x.shape[0], *batch))
+        for x in (start, goal)
     )
     uniforms = jax.random.uniform(key, (mdp.num_steps, num_trajectories))
 

@@ -31,7 +31,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from swerve.problem import Problem
 from swerve.solvers.grid_model import (
@@ -39,6 +39,7 @@ from swerve.solvers.grid_model import (
     CLOSED,
     FORBIDDEN,
     Successors,
+    clear_cells,
     find_successors,
     goal_model,
     in_sight,
@@ -83,6 +84,18 @@ class Grid:
         Raises:
           ValueError: if the state has more than 3 dimensions, or the grid would not fit memory.
         """
+        return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
+
+    def check(self, problem: Problem) -> None:
+        """Raise ValueError where `learn` would."""
+        self._resolution(problem)
+
+    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> GridNominal:
+        """Return the nominal distribution; nothing was stored but the settings."""
+        return self.learn(problem)
+
+    def _resolution(self, problem: Problem) -> tuple[int, ...]:
+        """Return the nodes along each axis, checked against dimensions and memory."""
         space = problem.mdp.space
         n = len(space.names)
         if n > MAX_DIMENSIONS:
@@ -91,15 +104,6 @@ class Grid:
                 f"{type(problem.mdp).__name__} has {n} ({', '.join(space.names)}): "
                 "use solver 'ppo'"
             )
-        return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
-
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> GridNominal:
-        """Return the nominal distribution; nothing was stored but the settings."""
-        return self.learn(problem)
-
-    def _resolution(self, problem: Problem) -> tuple[int, ...]:
-        """Return the nodes along each axis, checked against memory."""
-        space = problem.mdp.space
         if self.num_points == 0:
             points = DEFAULT_POINTS[len(space.names)]
             resolution = tuple(points // 2 if angle else points for angle in space.is_angle)
@@ -107,7 +111,7 @@ class Grid:
             resolution = (self.num_points,) * len(space.names)
         else:
             resolution = tuple(self.num_points)
-        num_nodes, n = StateGrid(space, resolution).num_nodes, len(space.names)
+        num_nodes = StateGrid(space, resolution).num_nodes
         # 8 bytes an entry, twice while the actions' parts are joined
         matrix = 2 * 8 * num_nodes * problem.mdp.num_actions * (4**n + 2**n)
         values = 4 * num_nodes * (problem.mdp.num_steps + 1)
@@ -126,11 +130,13 @@ class GridPolicy(eqx.Module):
 
     Attributes:
       values: [T+1, S] beta-weighted soft values at the nodes, nats.
+      clear: [S] cells with no known constraint around, see `clear_cells`.
     """
 
     problem: Problem = eqx.field(static=True)
     grid: StateGrid = eqx.field(static=True)
     values: Float[Array, "T+1 S"]
+    clear: Bool[Array, " S"] | None
 
     def __call__(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -160,7 +166,7 @@ class GridPolicy(eqx.Module):
 
     def _value(self, values: Float[Array, " S"], state: Float[Array, " n"]) -> Float[Array, ""]:
         """Return V at a state from V at the nodes that are open and in sight."""
-        if not self.problem.known:
+        if self.clear is None:
             return self.grid.interpolate(values, state)
         cubic, (nodes, weights) = self.grid.cubic(state), in_sight(self.problem, self.grid, state)
         weights = jnp.where(is_open(values[nodes]), weights, 0.0)
@@ -168,7 +174,8 @@ class GridPolicy(eqx.Module):
         linear = jnp.sum(values[nodes] * weights) / jnp.maximum(reach, 1e-9)
         around = values[cubic.nodes]
         smooth = jnp.sum(jnp.where(is_open(around), around, CLIFF) * cubic.weights)
-        return jnp.where(reach > 0.0, choose_smooth(jnp, smooth, linear), CLOSED)
+        value = jnp.where(self.clear[nodes[0]], choose_smooth(jnp, smooth, linear), linear)
+        return jnp.where(reach > 0.0, value, CLOSED)
 
     def soft_value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -201,9 +208,10 @@ class GridNominal:
         """Yield the policy of each goal [G, g] in turn, in blocks that fit memory."""
         bytes_a_goal = 4 * self.grid.num_nodes * (self.problem.mdp.num_steps + 1)
         block = max(1, VALUES_BYTES // bytes_a_goal)
+        clear = None if self._clear is None else jnp.asarray(self._clear)
         for first in range(0, len(goals), block):
             for values in self.backward(goals[first : first + block], advance):
-                yield GridPolicy(self.problem, self.grid, jnp.asarray(values))
+                yield GridPolicy(self.problem, self.grid, jnp.asarray(values), clear)
 
     def backward(
         self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
@@ -230,7 +238,11 @@ class GridNominal:
 
     @cached_property
     def _successors(self) -> Successors:
-        return find_successors(self.problem, self.grid)
+        return find_successors(self.problem, self.grid, self._clear)
+
+    @cached_property
+    def _clear(self) -> np.ndarray | None:
+        return clear_cells(self.problem, self.grid)
 
 
 def _log_sum_exp(action_values: np.ndarray) -> np.ndarray:

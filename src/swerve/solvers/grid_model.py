@@ -24,6 +24,7 @@ from swerve.trajectory import enters
 FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
 CLOSED = -1e8  # nats, where no way out is known; less bad, since the grid may be too coarse to tell
 CLIFF = -1e6  # nats, what a cubic sees of a closed node, so that the linear value is taken
+BATCH = 4096  # cells whose surroundings are looked at together
 
 
 @dataclass(frozen=True)
@@ -35,25 +36,26 @@ class Successors:
       cubic: [A*S, S] sparse; times values at nodes, gives values at successors.
       linear: [A*S, S] the same by linear interpolation, between nodes in sight alone.
       forbidden: [A*S] whether the step there enters a known constraint.
-      has_walls: whether there are known constraints, and so closed nodes.
+      clear: [A*S] whether no known constraint is around where it leads; None if none is known.
     """
 
     states: np.ndarray
     cubic: Any
     linear: Any
     forbidden: np.ndarray
-    has_walls: bool
+    clear: np.ndarray | None
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Return V at the successors [A*S, G] from V at the nodes [S, G]."""
-        if not self.has_walls:
+        if self.clear is None:
             return choose_smooth(np, self.cubic @ values, self.linear @ values)
         opened = is_open(values)
         reach = self.linear @ opened.astype(np.float32)
         linear = self.linear @ np.where(opened, values, np.float32(0.0))
         np.divide(linear, reach, out=linear, where=reach > 0.0)
         smooth = self.cubic @ np.where(opened, values, np.float32(CLIFF))
-        return np.where(reach > 0.0, choose_smooth(np, smooth, linear), np.float32(CLOSED))
+        value = np.where(self.clear[:, None], choose_smooth(np, smooth, linear), linear)
+        return np.where(reach > 0.0, value, np.float32(CLOSED))
 
 
 def is_open(values: Any) -> Any:
@@ -71,6 +73,31 @@ def in_sight(problem: Problem, grid: StateGrid, state: Float[Array, " n"]) -> St
     return Stencil(nodes, jnp.where(hidden, 0.0, weights))
 
 
+def clear_cells(problem: Problem, grid: StateGrid) -> np.ndarray | None:
+    """Return for each cell whether its corners see all nodes that a cubic takes there.
+
+    Elsewhere a known constraint is near, and a cubic would see through it.
+
+    Returns:
+      [S] booleans, a cell having the number of its lowest corner; None if nothing is known.
+    """
+    if not problem.known:
+        return None
+    nodes = jnp.asarray(grid.nodes(), jnp.float32)
+    half = jnp.asarray(grid.spacing, jnp.float32) / 2
+
+    def is_clear(corner: Array) -> Array:
+        middle = corner + half
+        corners, around = nodes[grid.linear(middle).nodes], nodes[grid.cubic(middle).nodes]
+
+        def hidden(a: Array, b: Array) -> Array:
+            return enters(problem.known, a, b, problem.mdp, problem.between_states)
+
+        return ~jax.vmap(lambda a: jax.vmap(lambda b: hidden(a, b))(around))(corners).any()
+
+    return np.asarray(jax.jit(lambda x: jax.lax.map(is_clear, x, batch_size=BATCH))(nodes))
+
+
 @dataclass(frozen=True)
 class GoalModel:
     """What depends on the goals: [S, G] at nodes, [A*S, G] at successors, in nats."""
@@ -82,34 +109,40 @@ class GoalModel:
     reward: np.ndarray
 
 
-def find_successors(problem: Problem, grid: StateGrid) -> Successors:
-    """Step every action from every node and find the weights that interpolate there."""
+def find_successors(problem: Problem, grid: StateGrid, clear: np.ndarray | None) -> Successors:
+    """Step every action from every node and find the weights that interpolate there.
+
+    Args:
+      problem: the model.
+      grid: the S nodes.
+      clear: [S] from `clear_cells`.
+    """
     mdp = problem.mdp
 
     @jax.jit
-    def successors_of(action: Array, nodes: Array) -> tuple[Array, Array, Stencil, Stencil]:
-        def step(state: Array) -> tuple[Array, Array, Stencil, Stencil]:
+    def successors_of(action: Array, nodes: Array) -> tuple[Array, Array, Array, Stencil, Stencil]:
+        def step(state: Array) -> tuple[Array, Array, Array, Stencil, Stencil]:
             next_state = mdp.dynamics(state, action)
             forbidden = enters(problem.known, state, next_state, mdp, problem.between_states)
             linear = in_sight(problem, grid, next_state)
-            return next_state, forbidden, grid.cubic(next_state), linear
+            return next_state, forbidden, linear.nodes[0], grid.cubic(next_state), linear
 
         return jax.vmap(step)(nodes)
 
     nodes = jnp.asarray(grid.nodes(), jnp.float32)
     parts = []
     for action in mdp.actions:
-        states, forbidden, *stencils = successors_of(action, nodes)
+        states, forbidden, cell, *stencils = successors_of(action, nodes)
         _check_finite(np.asarray(states), grid, f"{type(mdp).__name__}.dynamics")
         matrices = [_sparse(stencil, grid.num_nodes) for stencil in stencils]
-        parts.append((np.asarray(states), np.asarray(forbidden), *matrices))
-    states, forbidden, cubic, linear = zip(*parts, strict=True)
+        parts.append((np.asarray(states), np.asarray(forbidden), np.asarray(cell), *matrices))
+    states, forbidden, cells, cubic, linear = zip(*parts, strict=True)
     return Successors(
         states=np.concatenate(states),
         cubic=scipy.sparse.vstack(cubic, format="csr"),
         linear=scipy.sparse.vstack(linear, format="csr"),
         forbidden=np.concatenate(forbidden),
-        has_walls=bool(problem.known),
+        clear=None if clear is None else clear[np.concatenate(cells)],
     )
 
 

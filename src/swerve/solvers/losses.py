@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 HUBER_DELTA = 2.0
-LEAST_ADVANTAGE = -5.0  # nats; e^-5 leaves next to nothing of an action, more drowns the others
+LEAST_ADVANTAGE = -5.0  # of the scale; e^-5 leaves next to nothing of an action
 LARGEST_EXPONENT = 8.0  # of the value scale: values up to about scale * 3000 nats
 
 
@@ -49,6 +49,16 @@ def advantages(
     return jax.lax.scan(backward, jnp.zeros_like(value[0]), (residual, ended), reverse=True)[1]
 
 
+def bounded(advantage: Float[Array, "*N"], scale: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    """Return advantages, those far below 0 cut: disasters would drown the rest in the gradient.
+
+    Args:
+      advantage: nats.
+      scale: by which the losses are divided.
+    """
+    return jnp.maximum(advantage, LEAST_ADVANTAGE * scale)
+
+
 def policy_loss(
     log_probabilities: Float[Array, " A"],
     old_log_probabilities: Float[Array, " A"],
@@ -60,9 +70,7 @@ def policy_loss(
     """Return the clipped surrogate of one step, with KL(new || old) against it.
 
     Without the clip its minimum is pi_old exp(advantage) normalised, the soft policy improvement.
-    Advantages count down to LEAST_ADVANTAGE.
     """
-    advantage = jnp.maximum(advantage, LEAST_ADVANTAGE)
     log_ratio = log_probabilities - old_log_probabilities
     ratio = jnp.exp(select(log_ratio, action))
     clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)

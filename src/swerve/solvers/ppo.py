@@ -130,14 +130,16 @@ class PPO:
           checkpoint: file that is written after every chunk and resumed from; None for neither.
 
         Raises:
-          ValueError: if the checkpoint is of another run, or training diverged.
+          ValueError: if the checkpoint is of another run, training diverged, or no episode that the
+            MDP draws can begin.
         """
         trainer = Trainer(problem, self, seed)
+        trainer.check()
         state = trainer.initial_state()
         if checkpoint is not None and checkpoint.exists():
             state = _restore_checkpoint(checkpoint, trainer, state)
         done = int(state.iteration) // self.chunk_iterations
-        probe = _Probe(problem, tasks)
+        probe = _Probe(problem, tasks) if progress else None
         with progress_bar("training", self.num_chunks * self.chunk_steps, progress) as advance:
             advance(done * self.chunk_steps)
             for _ in range(done, self.num_chunks):
@@ -147,13 +149,16 @@ class PPO:
                 _check_finite(state, trainer)
                 if checkpoint is not None:
                     _save_checkpoint(checkpoint, trainer, state)
-                note = probe.report(PPOPolicy(problem, state.policy)) if progress else ""
+                note = probe.report(PPOPolicy(problem, state.policy)) if probe else ""
                 advance(self.chunk_steps, note=f"{rate / 1000:.0f} k steps/s  {note}")
         return PPONominal(problem, self, PPOPolicy(problem, state.policy))
 
+    def check(self, problem: Problem) -> None:
+        """Do nothing: there is no problem that PPO could not try."""
+
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> PPONominal:
         """Return the nominal distribution whose `arrays` were stored."""
-        policy = Trainer(problem, self, 0).initial_state().policy
+        policy = eqx.filter_eval_shape(Trainer(problem, self, 0).initial_state).policy
         return PPONominal(problem, self, PPOPolicy(problem, _from_arrays(policy, arrays)))
 
 

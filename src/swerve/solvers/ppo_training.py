@@ -31,7 +31,7 @@ from swerve.trajectory import draw_action, take_step
 if TYPE_CHECKING:
     from swerve.solvers.ppo import PPO
 
-KNOWN_PENALTY = 100.0  # nats, where an episode ends in a known constraint
+KNOWN_PENALTY = 1e4  # nats, where an episode ends in a known constraint: worse than any return
 RATE_END = 0.01  # of the first learning rate, reached at the end
 
 
@@ -128,6 +128,15 @@ class Trainer:
         begins = over_lanes(partial(can_begin, problem), -1, -1)(lanes.state, lanes.goal)
         return jax.tree.map(lambda x: x[..., _replacements(begins)], lanes)
 
+    def check(self) -> None:
+        """Raise ValueError where hardly any episode that the MDP draws can begin."""
+        lanes = self.fresh_lanes(jax.random.key(self.seed), self.settings.num_lanes, 0.5)
+        if not over_lanes(partial(can_begin, self.problem), -1, -1)(lanes.state, lanes.goal).all():
+            raise ValueError(
+                f"{type(self.problem.mdp).__name__}.sample_task and sample_state draw no state "
+                "outside the known constraints from which an episode can go on: write your own"
+            )
+
     @partial(jax.jit, static_argnums=(0, 2))
     def run(self, state: PPOState, num_iterations: int) -> PPOState:
         """Run iterations of training in one scan."""
@@ -220,9 +229,11 @@ class Trainer:
             new = jax.nn.log_softmax(policy(features))
             return losses.policy_loss(new, old, action, advantage, clip=self.settings.clip)
 
-        each = over_lanes(loss, -1, -1, -1, -1)(*batch[:4])
-        # by a weight of the state alone, which does not move the best policy there
-        return jnp.mean(each / losses.loss_scale(batch.value, self.settings.loss_scale))
+        # a scale of the state alone, since one of the action would move the best policy there
+        scale = losses.loss_scale(batch.value, self.settings.loss_scale)
+        advantage = losses.bounded(batch.advantage, scale)
+        each = over_lanes(loss, -1, -1, -1, -1)(*batch[:3], advantage)
+        return jnp.mean(each / scale)
 
     def value_loss(self, value: DenseNetwork, batch: Batch) -> Array:
         """Return the mean Huber loss of relative errors of a minibatch."""
