@@ -17,7 +17,11 @@ import numpy as np
 import pytest
 
 from swerve import cli, sampling, store
+from swerve.demonstrations import read_demonstrations
 from swerve.evidence import Evidence
+from swerve.settings import Settings
+from swerve.space import TWO_PI, StateSpace, Task
+from swerve.work import Work
 
 ROBOT = """
 import math
@@ -31,6 +35,7 @@ def problem(beta: float = 0.05, between_states: bool = True):
 """
 SOLVER = "grid?num_points=40"
 CONSTRAINT = 17
+SPACE = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-8.0, 8.0]]))
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -174,15 +179,22 @@ def test_a_reader_that_stops_early_is_no_error(robot: str) -> None:
 
 
 def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Path) -> None:
-    (tmp_path / "tasks.csv").write_text("demo\n")
-    status, _, said = run("demonstrate", robot, "--constraint", 3, "--out", tmp_path)
-    assert status == 1
-    assert "tasks.csv exists already" in said
-    assert "demonstrating" not in said
-    arguments = ("--num", 3, "--tasks", tmp_path / "tasks.csv", "--out", tmp_path / "new")
-    status, _, said = run("demonstrate", robot, "--constraint", 3, *arguments)
-    assert status == 1
-    assert "--num or --tasks, not both" in said
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "demo_001.csv").write_text("theta\n")
+    tasks = tmp_path / "tasks.csv"
+    row = "5,0,5.5,0\n"
+    tasks.write_text(f"demo,start_theta,start_omega,goal_theta,goal_omega\n9,{row}demo_9,{row}")
+    for out, more, message in (
+        ("made", (), "demo_001.csv exists already"),
+        ("made", ("--num", 3, "--tasks", tasks), "--num or --tasks, not both"),
+        ("new", ("--tasks", tasks), "more than one demonstration would be '9'"),
+        ("made/demo_001.csv/x", (), "cannot write in"),
+    ):
+        arguments = ("--constraint", 3, "--out", tmp_path / out, *more)
+        status, _, said = run("demonstrate", robot, *arguments)
+        assert status == 1
+        assert message in said
+        assert "demonstrating" not in said
 
 
 def test_demonstrate_with_tasks_of_ones_own(robot: str, run: Run, tmp_path: Path) -> None:
@@ -227,6 +239,7 @@ def test_other_settings_are_kept_beside_the_first_and_used_until_others_are_aske
     assert ask() == (700, "plain")
     assert ask("--samples", 500) == (500, "plain")
     assert ask("--method", "importance") == (500, "importance")
+    assert ask("--samples", 700) == (700, "plain")
     assert {unquote(path.name) for path in work.glob("*.evidence")} == {
         f"{SOLVER}.seed3.importance.500.evidence",
         f"{SOLVER}.seed3.plain.500.evidence",
@@ -241,7 +254,9 @@ def test_the_seed_of_learning_is_remembered(
     work = tmp_path / "work"
     run("learn", robot, "--work", work, "--solver", SOLVER, "--seed", 3)
     run(*infer(robot, demonstrations[:1], work))
-    assert all(".seed3." in path.name for path in work.iterdir() if path.suffix != ".json")
+    results = {path.name for path in work.iterdir()} - {"problem.json", ".lock"}
+    assert len(results) == 2
+    assert all(".seed3." in name for name in results)
     run(*infer(robot, demonstrations[:1], work, "--seed", 4))
     assert len(list(work.glob("*.nominal"))) == 2
 
@@ -309,6 +324,110 @@ def test_a_change_that_no_source_shows_is_noticed_when_the_problem_is_loaded(
     assert "max_torque=2" in out
     [path] = work.glob("*.evidence")
     assert Evidence.load(path).num_tasks == 2
+
+
+def test_a_predicate_is_not_judged_by_old_evidence(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "fast.py").write_text(
+        ROBOT.replace(
+            "neighbour.MAX_TORQUE", f"float(pathlib.Path({str(tmp_path)!r}, 'd').read_text())"
+        )
+        .replace("import neighbour", "import pathlib\nimport swerve")
+        .replace("mdp, cells", "mdp, [swerve.Predicate('fast', lambda s: s[..., 1] > 1.0)]")
+    )
+    (tmp_path / "d").write_text("3.0")
+    arguments = ("infer", f"{tmp_path / 'fast.py'}:problem", "--work", tmp_path / "work", "--json")
+    _, first, _ = run(*arguments, "--solver", SOLVER, "--samples", 300)
+    (tmp_path / "d").write_text("1.0")
+    status, second, said = run(*arguments)
+    assert status == 0
+    assert "is out of date" in said
+    assert json.loads(second)["ranking"] != json.loads(first)["ranking"]
+
+
+def test_a_solver_that_is_refused_is_not_remembered(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    arguments = ("infer", robot, demonstrations[0], "--work", work)
+    assert run(*arguments, "--solver", SOLVER, "--samples", 300)[0] == 0
+    status, _, said = run(*arguments, "--solver", "grid?num_points=3")
+    assert status == 1
+    assert "expected at least 4 nodes" in said
+    status, _, said = run(*arguments)
+    assert status == 0
+    assert "learning" not in said
+
+
+def test_two_processes_add_to_one_folder(
+    robot: str, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """Each has read the folder before the other has written what it found."""
+    settings = Settings(SOLVER, num_trajectories=300)
+    tasks = [read_demonstrations([path], SPACE)[0].task for path in demonstrations[:3]]
+    Work(robot, tmp_path / "work", settings).evidence(Task.stack(tasks[:1]))
+    works = [Work(robot, tmp_path / "work", settings) for _ in range(2)]
+    empty = Work(robot, tmp_path / "later", settings)
+    known = [work._stored_evidence() for work in works]
+    for work, task, evidence in zip(works, tasks[1:], known, strict=True):
+        work._sample(Task.stack([task]), evidence)
+    found = Work(robot, tmp_path / "work", settings).evidence(None)
+    assert found.num_tasks == 3
+    Work(robot, tmp_path / "later", settings).evidence(Task.stack(tasks[:2]))
+    empty._sample(Task.stack(tasks[2:]), None)
+    assert Work(robot, tmp_path / "later", settings).evidence(None).num_tasks == 3
+
+
+def test_other_weights_need_no_other_samples(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    arguments = infer(robot, demonstrations[:2], work, "--solver", SOLVER, "--json")
+    run(*arguments)
+    status, out, said = run(*arguments, "--method", "plain")
+    assert status == 0
+    assert "sampling" not in said
+    _, anew, _ = run(
+        *infer(robot, demonstrations[:2], tmp_path / "other", "--json"),
+        "--solver",
+        SOLVER,
+        "--method",
+        "plain",
+    )
+    assert json.loads(out)["ranking"] == json.loads(anew)["ranking"]
+
+
+def test_a_module_of_another_folder_is_another_problem(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in ("a", "b"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "mymodel.py").write_text(
+            ROBOT.replace("neighbour.MAX_TORQUE", "3.0").replace("import neighbour", "")
+        )
+    arguments = ("learn", "mymodel:problem", "--work", tmp_path / "work", "--solver", SOLVER)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.chdir(tmp_path / "a")
+    assert run(*arguments)[0] == 0
+    monkeypatch.setattr(sys, "path", [x for x in sys.path if not x.startswith(str(tmp_path))])
+    monkeypatch.delitem(sys.modules, "mymodel")
+    monkeypatch.chdir(tmp_path / "b")
+    status, _, said = run(*arguments)
+    assert status == 1
+    assert f"holds the results of 'mymodel:problem in {tmp_path / 'a'}'" in said
+
+
+def test_settings_of_a_newer_version_are_no_error(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    arguments = infer(robot, demonstrations[:1], work, "--solver", SOLVER)
+    run(*arguments)
+    data = store.read_json(work / "problem.json")
+    data["settings"]["islands"], data["swerve"] = 3, "99.0"
+    store.write_json(work / "problem.json", data)
+    status, _, said = run(*arguments)
+    assert status == 0
+    assert "swerve was 99.0 and is" in said
 
 
 def test_evidence_of_another_version_of_the_problem_is_refused(

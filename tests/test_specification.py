@@ -484,6 +484,10 @@ class TestSourceHashes:
         before = source_hashes(load_problem(f"{folder}/robot.py:problem"))
         shapes = str(folder / "shapes.py")
         (folder / "shapes.py").write_text(SHAPES.replace("3)", "4)"))
+        cached = source_hashes(load_problem(f"{folder}/robot.py:problem"))
+        assert cached[shapes] == before[shapes]  # of the code that was imported, and runs
+        for name in ("helper", "shapes"):
+            sys.modules.pop(name)
         after = source_hashes(load_problem(f"{folder}/robot.py:problem"))
         assert {path for path in before if before[path] != after[path]} == {shapes}
 

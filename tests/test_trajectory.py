@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import CART_TASK, PENDULUM_TASK, Cart, short_cart, short_pendulum
 
-from swerve import Box, Predicate, Problem, Task, grid, rk4
+from swerve import Box, Grid, Predicate, Problem, Task, grid, learn, rk4, sample
 from swerve.constraints import violates
 from swerve.mdp import MDP
 from swerve.trajectory import draw_action, enters, rollout, take_step
@@ -371,3 +371,23 @@ def test_rk4_in_a_rollout_follows_the_analytic_solution() -> None:
     height = 90.0 + (5.0 + terminal) / 0.5 * (1.0 - np.exp(-0.5 * t)) - terminal * t
     np.testing.assert_allclose(found.states[:, 0, 0], height, atol=2e-4)
     np.testing.assert_allclose(found.states[:, 1, 0], speed, atol=1e-4)
+
+
+def test_a_system_without_goals() -> None:
+    class Aimless(Cart):
+        goal_names = ()
+
+        def reward(self, state, action, next_state, goal):
+            return -(next_state[0] ** 2)
+
+        def terminal_reward(self, state, goal):
+            return jnp.zeros(())
+
+        def sample_task(self, key):
+            return Task(jax.random.uniform(key, (2,)), jnp.zeros(0))
+
+    problem = Problem(Aimless(), grid(x=(-1.5, 1.5, 6)))
+    task = Task(np.array([0.6, 0.3]), np.zeros(0))
+    evidence = sample(learn(problem, Grid(num_points=41)), task, 500)
+    assert evidence.effective_sample_size[0] > 400
+    assert evidence.tasks.goal.shape == (1, 0)

@@ -174,26 +174,27 @@ def demonstrate(
       num: How many, of as many tasks drawn from the MDP. [default: 10, or one for each of --tasks]
       solver: grid, with settings as in 'grid?num_points=81'.
     """
-    from swerve.demonstrations import read_tasks, write_demonstrations
+    from swerve.demonstrations import new_files, read_tasks, write_demonstrations
     from swerve.demonstrators.boltzmann import demonstrate as draw
     from swerve.nominal import resolve_solver
+    from swerve.store import check_writable
     from swerve.tasks import draw_tasks
 
     if tasks is not None and num is not None:
         raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
     if num is not None and num < 1:
         raise ValueError(f"--num: expected at least 1, got {num}")
-    if (out / "tasks.csv").exists():
-        raise FileExistsError(f"{out / 'tasks.csv'} exists already; name another folder with --out")
+    check_writable(out)
     job = _work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
-    names = None
     if tasks is not None:
         rows = read_tasks(tasks, record.space, record.goal_names)
         batch = swerve.Task.stack(list(rows.values()))
         names = [f"demo_{row.removeprefix('demo_')}" for row in rows]
     else:
         batch = draw_tasks(job.problem, num or 10, avoid=[forbidden], seed=seed)
+        names = [f"demo_{k:03d}" for k in range(num or 10)]
+    new_files(out, names)  # before the work
     grid: Any = resolve_solver(solver)  # anything else is refused
     made = draw(job.problem, forbidden, batch, names=names, solver=grid, seed=seed, progress=True)
     write_demonstrations(
@@ -239,7 +240,8 @@ def _work(
     method: str | None = None,
     samples: int | None = None,
 ) -> Work:
-    from swerve.work import Settings, Work
+    from swerve.settings import Settings
+    from swerve.work import Work
 
     return Work(problem, folder, Settings(solver, seed, method, samples), say=_say, progress=True)
 

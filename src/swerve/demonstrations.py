@@ -202,19 +202,42 @@ def write_demonstrations(
       ValueError: if a demonstration could not be read back: its states fail `check_states`, its
         task does not fit, it lacks actions, or its name is no file name or taken already.
     """
-    directory = Path(directory)
     goal_names = space.names if goal_names is None else tuple(goal_names)
-    texts = {directory / "tasks.csv": _tasks_text(demonstrations, space, goal_names)}
-    for item in demonstrations:
+    tasks, *paths = new_files(directory, [item.name for item in demonstrations])
+    texts = {tasks: _tasks_text(demonstrations, space, goal_names)}
+    for path, item in zip(paths, demonstrations, strict=True):
         check_states(item.states, item.times, space, item.name)
-        texts[directory / f"{item.name}.csv"] = _trajectory_text(item, space, action_names)
-    for path in texts:
-        if path.exists():
-            raise FileExistsError(f"{path} exists already; choose another folder or remove it")
-    directory.mkdir(parents=True, exist_ok=True)
+        texts[path] = _trajectory_text(item, space, action_names)
     for path, text in texts.items():
         store.write_text(path, text)
-    return [directory / f"{item.name}.csv" for item in demonstrations]
+    return paths
+
+
+def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
+    """Return the files that `write_demonstrations` writes: tasks.csv, then one for each name.
+
+    Raises:
+      FileExistsError: if one of them exists already.
+      ValueError: if a name is no file name, or two could not be told apart.
+    """
+    cells = Counter(_cell(name) for name in names)
+    for name in names:
+        if name in ("", "tasks") or Path(name).name != name.strip() or not name.isprintable():
+            raise ValueError(f"{name!r} cannot be the file name of a demonstration; rename it")
+        if cells[_cell(name)] > 1:
+            raise ValueError(
+                f"more than one demonstration would be {_cell(name)!r} in tasks.csv: rename"
+            )
+    paths = [Path(directory) / f"{name}.csv" for name in ("tasks", *names)]
+    for path in paths:
+        if path.exists():
+            raise FileExistsError(f"{path} exists already; choose another folder or remove it")
+    return paths
+
+
+def _cell(name: str) -> str:
+    """Return what a demonstration is called in tasks.csv."""
+    return name.removeprefix("demo_") or name
 
 
 def _find_task(name: str, tasks: dict[str, Task], where: str, source: str) -> Task:
@@ -259,15 +282,10 @@ def _tasks_text(
     tasks: dict[str, Task] = {}
     for item in demonstrations:
         name, task = item.name, item.task
-        if name in ("", "tasks") or Path(name).name != name.strip() or not name.isprintable():
-            raise ValueError(f"{name!r} cannot be the file name of a demonstration; rename it")
-        cell = name.removeprefix("demo_") or name
-        if cell in tasks:
-            raise ValueError(f"more than one demonstration would be {cell!r} in tasks.csv: rename")
         shaped(task.goal, (len(goal_names),), "a goal", name)
         check_bounds(task, space, goal_names, name)
         check_start(item.states[0], task, space, name)
-        tasks[cell] = task
+        tasks[_cell(name)] = task
     for item in demonstrations:
         _find_task(item.name, tasks, item.name, "in tasks.csv")
     rows = [[cell, *(f"{x:.9g}" for x in np.concatenate(task))] for cell, task in tasks.items()]

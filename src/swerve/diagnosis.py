@@ -168,6 +168,6 @@ def _floored(inference: Inference) -> Iterator[str]:
         resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
         yield (
             f"the score of {names} is only a lower bound: almost every nominal trajectory of a "
-            "task enters it, and for each demonstration of such a task the samples tell no more than "
-            f"about {-math.log(resolution.min()):.1f} nats"
+            "task enters it, and for each demonstration of such a task the samples tell no more "
+            f"than about {-math.log(resolution.min()):.1f} nats"
         )

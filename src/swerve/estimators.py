@@ -152,7 +152,8 @@ def avoid_probability(
         sums[:, :num_hypotheses] for sums in (entered, avoided)
     )
     # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
-    return Estimate(avoided, avoided_square * entered**2 + entered_square * avoided**2)
+    variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
+    return Estimate(avoided, variance)
 
 
 def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:

@@ -21,7 +21,7 @@ import numpy as np
 
 from swerve import estimators, store
 from swerve.problem import ProblemRecord
-from swerve.samples import Samples, Summary, equalise, log_weights
+from swerve.samples import Samples, Summary, equalise, log_weights, summarise
 from swerve.space import Task
 
 KIND = "swerve-evidence"
@@ -190,6 +190,13 @@ class Evidence:
             summary=Summary(*(values[indices] for values in self.summary)),
             load_samples=lambda: Samples(*(values[indices] for values in self.samples)),
         )
+
+    def weighted(self, method: str) -> Evidence:
+        """Return the same trajectories weighed by another method."""
+        if method == self.method:
+            return self
+        summary = summarise(self.problem, self.tasks, self.samples, method)
+        return dataclasses.replace(self, method=method, summary=summary)
 
     def joined(self, *others: Evidence) -> Evidence:
         """Return evidence for the tasks of this and others, in that order.

@@ -21,12 +21,14 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, get_args, get_type_hints
+from weakref import WeakKeyDictionary
 
 SHIPPED = {"pendulum": "swerve.systems.pendulum:pendulum"}
 # 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may well be texts
 PLAIN_NUMBER = re.compile(
     r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE
 )
+_SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hashes of the files of modules
 
 
 @dataclass(frozen=True)
@@ -62,17 +64,29 @@ class Specification:
 def canonical_problem(text: str) -> str:
     """Return a text that is the same only for ways to write the same problem specification.
 
-    Files are made absolute, parameters sorted, and plain numbers written one way: 10, 10.0 and 1e1.
-    No code is loaded, so which parameters are numbers is not known: what is more likely a text, or
-    has more digits than a float (007, 1.10, 1_000), stays as it is. Taking one problem for two
-    costs a message; taking two for one would be a wrong answer.
+    Files are made absolute, modules get their folder, parameters are sorted, and plain numbers
+    written one way: 10, 10.0 and 1e1. No code is loaded, so which parameters are numbers is not
+    known: what is more likely a text, or has more digits than a float (007, 1.10, 1_000), stays as
+    it is. Taking one problem for two costs a message; taking two for one would be a wrong answer.
     """
     specification = Specification.parse(text)
     path, colon, name = specification.target.rpartition(":")
     if colon and path.endswith(".py"):
         target = f"{Path(path).resolve()}:{name}"
-        specification = Specification(target, specification.parameters)
-    return str(specification)
+        return str(Specification(target, specification.parameters))
+    return f"{specification}{_place(path)}" if colon else str(specification)
+
+
+def _place(module: str) -> str:
+    """Return where a module that is not installed would be imported from, ' in FOLDER'."""
+    _search_here()
+    try:
+        found = importlib.util.find_spec(module.partition(".")[0])
+    except ValueError:  # of what no file made
+        return ""
+    places = [found.origin, *(found.submodule_search_locations or ())] if found else []
+    files = [Path(place) for place in places if place]
+    return f" in {files[0].parent}" if files and _is_user_source(files[0]) else ""
 
 
 def load_problem(text: str) -> Any:
@@ -108,6 +122,7 @@ def load_problem(text: str) -> Any:
         )
     if not isinstance(found, Problem):
         raise ValueError(f"{text!r}: expected a swerve.Problem, got {type(found).__name__}")
+    source_hashes(found)  # while the files are still those that were imported
     return found
 
 
@@ -152,14 +167,18 @@ def source_hashes(problem: Any) -> dict[str, str]:
       Swerve's own and the script that Python was started with;
     - the modules that define the classes of the MDP, also if they are that script or Swerve's.
 
-    Data files, compiled modules and what is imported later are not among them.
+    Data files, compiled modules and what is imported later are not among them. A module that has
+    been seen before has the hash of its file then, since that is the code that runs.
     """
-    files = set(_user_modules().values())
+    modules = {name: sys.modules[name] for name in _user_modules()}
     for base in type(problem.mdp).__mro__:
-        file = getattr(sys.modules[base.__module__], "__file__", None)
-        if file and _is_user_source(Path(file)):
-            files.add(Path(file))
-    return {str(path): file_hash(path) for path in sorted(files)}
+        modules[base.__module__] = sys.modules[base.__module__]
+    hashes = {}
+    for module in modules.values():
+        path = Path(str(getattr(module, "__file__", None)))
+        if _is_user_source(path):
+            hashes[str(path)] = _SEEN.setdefault(module, file_hash(path))
+    return dict(sorted(hashes.items()))
 
 
 def file_hash(path: Path) -> str:
@@ -233,12 +252,17 @@ def _same(a: Path, b: Path) -> bool:
 
 
 def _load_module(name: str, text: str) -> ModuleType:
-    if str(Path.cwd()) not in sys.path:  # as `python -m` has it
-        sys.path.insert(0, str(Path.cwd()))
+    _search_here()
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise ValueError(f"{text!r}: {error}") from error
+
+
+def _search_here() -> None:
+    """Look for modules in the current folder first, as `python -m` does."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
 
 
 def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
@@ -291,7 +315,10 @@ def _bool(value: str) -> bool:
 
 
 def _int(value: str) -> int:
-    number = float(value)  # accepts 2e6
+    try:
+        return int(value)
+    except ValueError:
+        number = float(value)  # accepts 2e6
     if not number.is_integer():
         raise ValueError
     return int(number)

@@ -20,7 +20,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -226,6 +226,18 @@ def read_json(path: AnyPath) -> Any:
     if record["crc32"] != _checksum(record["data"]):
         raise _altered(path, "altered: its checksum does not match its data")
     return record["data"]
+
+
+@contextlib.contextmanager
+def locked(directory: AnyPath) -> Iterator[None]:
+    """Hold the lock of a folder, so that what is read there is still so when it is written.
+
+    Whoever comes second waits. Where there are no locks, as on some network folders, nobody does.
+    """
+    with (Path(directory) / ".lock").open("ab") as file:
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def check_writable(directory: AnyPath) -> None:

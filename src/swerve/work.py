@@ -6,9 +6,10 @@
     <solver>.seed<S>.<method>.<N>.evidence         what sampling it told
     <solver>.seed<S>.checkpoint                    training that is under way
 
-Other settings make other files, so nothing is replaced. As long as none of the sources has changed,
-results are read without importing JAX or user code. When one has, whatever rests on it is removed
-before anything new is written.
+Other settings make other files, so nothing is replaced. Settings that are left out are those with
+which something was last worked out. As long as none of the sources has changed, results are read
+without importing JAX or user code. When one has, whatever rests on it is removed before anything
+new is written. Several processes may work in one folder.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ from swerve import store
 from swerve.evidence import Evidence
 from swerve.problem import ProblemRecord
 from swerve.samples import METHODS
+from swerve.settings import Settings
 from swerve.space import Task
-from swerve.specification import Specification, canonical_problem, file_hash, source_hashes
+from swerve.specification import canonical_problem, file_hash, source_hashes
 
 if TYPE_CHECKING:
     from swerve.nominal import Nominal
@@ -38,41 +40,6 @@ if TYPE_CHECKING:
 RESULTS = ("*.nominal", "*.evidence", "*.checkpoint")
 NUM_PRIOR_TASKS = 8
 SAVE_INTERVAL = 60.0  # s between two saves while sampling
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """How to learn and sample; what is None is as last time, or else the default.
-
-    Attributes:
-      solver: a solver specification (default: `nominal.default_solver`).
-      seed: of learning and sampling (default 0).
-      method: "importance" (default) or "plain".
-      num_trajectories: N a task (default 10,000).
-
-    Raises:
-      ValueError: if there is no such method, or a number is out of range.
-    """
-
-    solver: str | None = None
-    seed: int | None = None
-    method: str | None = None
-    num_trajectories: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.solver is not None:
-            object.__setattr__(self, "solver", str(Specification.parse(self.solver)))
-        if self.method is not None and self.method not in METHODS:
-            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if self.num_trajectories is not None and self.num_trajectories < 2:
-            raise ValueError(f"samples: expected at least 2, got {self.num_trajectories}")
-        if self.seed is not None and self.seed < 0:
-            raise ValueError(f"seed: expected a number >= 0, got {self.seed}")
-
-    def completed(self, others: Settings) -> Settings:
-        """Return these settings, with those of others where there is none."""
-        given = {name: value for name, value in vars(self).items() if value is not None}
-        return dataclasses.replace(others, **given)
 
 
 class Work:
@@ -105,7 +72,7 @@ class Work:
         self.progress = progress
         self._asked = settings or Settings()
         self._last = Settings()  # of the folder
-        self._stored = self._read_record()
+        self._stored = self._read_record(say)
 
     @property
     def record(self) -> ProblemRecord:
@@ -148,10 +115,12 @@ class Work:
             draws some from the MDP.
         """
         known = self._stored_evidence()
-        if known is not None and (tasks is None or not len(_missing(known, tasks).start)):
+        if known is not None and _covers(known, tasks):
             return known
         problem = self.problem  # which may show that what is stored is out of date
-        known = self._stored_evidence()
+        known = self._stored_evidence() or self._weighed_otherwise()
+        if known is not None and _covers(known, tasks):
+            return known
         wanted = self._prior_tasks(problem) if tasks is None else _distinct(tasks)
         return self._sample(wanted if known is None else _missing(known, wanted), known)
 
@@ -167,6 +136,7 @@ class Work:
         assert settings.solver is not None
         assert settings.seed is not None
         solver = resolve_solver(settings.solver)
+        solver.check(problem)
         self._begin()
         path, checkpoint = self._path("nominal"), self._path("checkpoint")
         if path is not None and path.exists():
@@ -217,32 +187,54 @@ class Work:
         return found[0].joined(*found[1:])
 
     def _save(self, found: list[Evidence]) -> None:
+        """Write evidence, with that of tasks which another process has added meanwhile."""
         path = self._path("evidence")
-        if path is not None:
-            found[0].joined(*found[1:]).save(path)
+        if self.folder is None or path is None:
+            return
+        evidence = found[0].joined(*found[1:])
+        with store.locked(self.folder):
+            stored = self._stored_evidence()
+            if stored is not None:
+                rows = _missing_rows(evidence, stored.tasks)
+                evidence = evidence.joined(stored.select(rows)) if rows else evidence
+            evidence.save(path)
+
+    def _weighed_otherwise(self) -> Evidence | None:
+        """Return stored trajectories that were weighed by another method, weighed by this one."""
+        mine = self.settings.method
+        for method in METHODS:
+            other = self._stored_evidence(method)
+            if other is not None and mine is not None:
+                self._begin()
+                evidence = other.weighted(mine)
+                self._save([evidence])
+                return evidence
+        return None
 
     def _prior_tasks(self, problem: Problem) -> Task:
         """Draw tasks for the ranking before any demonstration."""
         from swerve.tasks import draw_tasks
 
         self.say(f"no demonstrations and no tasks: drawing {NUM_PRIOR_TASKS} tasks from the MDP")
-        return draw_tasks(problem, NUM_PRIOR_TASKS)
+        return draw_tasks(problem, NUM_PRIOR_TASKS, seed=self.settings.seed or 0)
 
-    def _path(self, suffix: str) -> Path | None:
+    def _path(self, suffix: str, method: str | None = None) -> Path | None:
         """Return the file of a result, named after all settings that it depends on."""
         if self.folder is None:
             return None
         settings = self.settings
         name = f"{quote(str(settings.solver), safe='=')}.seed{settings.seed}"
         if suffix == "evidence":
-            name = f"{name}.{settings.method}.{settings.num_trajectories}"
+            name = f"{name}.{method or settings.method}.{settings.num_trajectories}"
         return self.folder / f"{name}.{suffix}"
 
-    def _stored_evidence(self) -> Evidence | None:
-        """Return the stored evidence that was made with these settings."""
+    def _stored_evidence(self, method: str | None = None) -> Evidence | None:
+        """Return the stored evidence that was made with these settings, or another method."""
+        if self._stored is not None and self._stored.needs_code:
+            _ = self.problem  # which may show that what is stored is out of date
         if self._stored is None:
             return None
-        path = self._path("evidence")
+        path = self._path("evidence", method)
         if path is None or not path.exists():
             return None
         evidence = Evidence.load(path)
@@ -256,7 +248,7 @@ class Work:
             return dataclasses.replace(evidence, problem=self.problem.record)
         return evidence
 
-    def _read_record(self) -> ProblemRecord | None:
+    def _read_record(self, say: Callable[[str], None]) -> ProblemRecord | None:
         """Return the folder's problem if it is this one and nothing it came from has changed."""
         if self.folder is None or not (self.folder / "problem.json").exists():
             return None
@@ -267,7 +259,7 @@ class Work:
                 f"{self.folder} holds the results of {stored['problem']!r}, not of {asked!r}: "
                 "name another --work folder"
             )
-        self._last = Settings(**stored["settings"])
+        self._last = Settings.from_json(stored["settings"])
         changes = [
             f"{path} has changed"
             for path, old in stored["sources"].items()
@@ -276,7 +268,7 @@ class Work:
         if stored["swerve"] != swerve.__version__:
             changes.append(f"swerve was {stored['swerve']} and is {swerve.__version__}")
         if changes:
-            self.say(f"{self.folder} is out of date ({'; '.join(changes)}): working it out anew")
+            say(f"{self.folder} is out of date ({'; '.join(changes)}): working it out anew")
             return None
         return ProblemRecord.from_json(stored["record"])
 
@@ -285,20 +277,27 @@ class Work:
         if self.folder is None:
             return
         store.check_writable(self.folder)
-        if self._stored is None:
-            self._remove_results(self.folder)
-        settings = self.settings
+        record, settings = self.problem.record, self.settings
         if self._stored is not None and settings == self._last:
             return
-        data = {
-            "problem": canonical_problem(self.problem_text),
-            "record": self.problem.record.to_json(),
-            "settings": dataclasses.asdict(settings),
-            "sources": source_hashes(self.problem),
-            "swerve": swerve.__version__,
-        }
-        store.write_json(self.folder / "problem.json", data)
-        self._stored, self._last = self.problem.record, settings
+        with store.locked(self.folder):
+            if not self._is_current(record):
+                self._remove_results(self.folder)
+            data = {
+                "problem": canonical_problem(self.problem_text),
+                "record": record.to_json(),
+                "settings": dataclasses.asdict(settings),
+                "sources": source_hashes(self.problem),
+                "swerve": swerve.__version__,
+            }
+            store.write_json(self.folder / "problem.json", data)
+        self._stored, self._last = record, settings
+
+    def _is_current(self, record: ProblemRecord) -> bool:
+        """Return whether the folder is, by now perhaps, one of this problem as it is."""
+        if self._stored is None:
+            self._stored = self._read_record(lambda text: None)  # since it has been said
+        return self._stored is not None and self._stored.fingerprint == record.fingerprint
 
     @staticmethod
     def _remove_results(folder: Path) -> None:
@@ -319,9 +318,19 @@ def _distinct(tasks: Task) -> Task:
     return Task(*np.split(rows, [tasks.start.shape[1]], axis=1))
 
 
+def _covers(evidence: Evidence, tasks: Task | None) -> bool:
+    """Return whether there is evidence for all tasks, if any are asked for."""
+    return tasks is None or not _missing_rows(evidence, tasks)
+
+
 def _missing(evidence: Evidence, tasks: Task) -> Task:
     """Return those tasks for which there is no evidence."""
-    rows = [
+    rows = _missing_rows(evidence, tasks)
+    return Task(tasks.start[rows], tasks.goal[rows])
+
+
+def _missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
+    """Return the numbers of those tasks for which there is no evidence."""
+    return [
         k for k, task in enumerate(zip(*tasks, strict=True)) if evidence.find(Task(*task)) is None
     ]
-    return Task(tasks.start[rows], tasks.goal[rows])
