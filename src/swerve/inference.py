@@ -277,29 +277,29 @@ def infer(
     """
     if score not in SCORES:
         raise ValueError(f"score: expected one of {', '.join(SCORES)}, got {score!r}")
-    problem = evidence.problem
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")
     demonstrations = tuple(demonstrations)
-    for item in demonstrations:
-        if not isinstance(item, Demonstration):
-            raise ValueError(
-                f"expected a list of swerve.Demonstration, got a {type(item).__name__} in it: make "
-                "one with swerve.Demonstration(name, states, task)"
-            )
-    task_of, rows = [], []
-    for demonstration in demonstrations:
-        check_states(demonstration.states, demonstration.times, problem.space, demonstration.name)
-        _check_known(demonstration, problem)
-        _check_goal(demonstration, evidence)
-        task_of.append(evidence.match(demonstration.task, demonstration.name))
-        rows.append(
-            problem.hypotheses.violations(
-                demonstration.states[None], problem.space, problem.between_states
-            )[0]
-        )
-    num_hypotheses = len(problem.hypotheses)
+    judged = [_judge(item, evidence) for item in demonstrations]
+    num_hypotheses = len(evidence.problem.hypotheses)
     entered = np.zeros((0, num_hypotheses), bool)
-    if rows:
-        entered = unpack(np.stack(rows), num_hypotheses)
-    return Inference(evidence, demonstrations, np.array(task_of, int), entered, score)
+    if judged:
+        entered = unpack(np.stack([bits for _, bits in judged]), num_hypotheses)
+    task_of = np.array([task for task, _ in judged], int)
+    return Inference(evidence, demonstrations, task_of, entered, score)
+
+
+def _judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.ndarray]:
+    """Check a demonstration; return its task in the evidence and packed bits of what it enters."""
+    if not isinstance(demonstration, Demonstration):
+        raise ValueError(
+            f"expected a list of swerve.Demonstration, got a {type(demonstration).__name__} in it: "
+            "make one with swerve.Demonstration(name, states, task)"
+        )
+    problem, states = evidence.problem, demonstration.states
+    check_states(states, demonstration.times, problem.space, demonstration.name)
+    _check_known(demonstration, problem)
+    _check_goal(demonstration, evidence)
+    task = evidence.match(demonstration.task, demonstration.name)
+    bits = problem.hypotheses.violations(states[None], problem.space, problem.between_states)
+    return task, bits[0]
