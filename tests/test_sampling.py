@@ -157,3 +157,11 @@ class TestBadInput:
         nominal = learn(problem, Grid(num_points=12))
         with pytest.raises(ValueError, match=r"Broken.dynamics returned \[nan, nan\] at step 3"):
             sample(nominal, Task(np.array([1.0, 0.0]), np.zeros(2)), 8)
+
+
+def test_what_would_not_fit_memory_is_refused() -> None:
+    fine = dataclasses.replace(
+        short_pendulum(), hypotheses=grid(theta=(0.0, 6.0, 10**5), omega=(-4.0, 4.0, 10**5))
+    )
+    with pytest.raises(ValueError, match=r"10,000,000,000 hypotheses take .* GiB of memory"):
+        sample(learn(fine, COARSE), PENDULUM_TASK, 10_000)

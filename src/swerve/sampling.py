@@ -87,6 +87,7 @@ def sample_each(
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     if num_trajectories < 2:
         raise ValueError(f"num_trajectories: expected at least 2, got {num_trajectories}")
+    _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs about as much
     workers = ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0)))
@@ -118,6 +119,18 @@ def sample_each(
                         load_samples=lambda samples=samples: samples,
                     ),
                 )
+
+
+def _check_memory(num_tasks: int, num_trajectories: int, num_hypotheses: int) -> None:
+    """Refuse what would not fit memory: one bit for each (task, trajectory, hypothesis)."""
+    needed = num_tasks * num_trajectories * ((num_hypotheses + 7) // 8)
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > there:
+        raise ValueError(
+            f"{num_trajectories:,} trajectories of {num_tasks:,} tasks judged against "
+            f"{num_hypotheses:,} hypotheses take {needed / 2**30:,.0f} GiB of memory, and this "
+            f"machine has {there / 2**30:,.0f} GiB: take fewer of one of them"
+        )
 
 
 class _Job(NamedTuple):
