@@ -152,7 +152,7 @@ def test_importing_loads_neither_jax_nor_polars_nor_zipfile() -> None:
         "new = {name.split('.')[0] for name in set(sys.modules) - before};"
         "assert not new & {'jax', 'polars', 'zipfile', 'tempfile', 'hashlib'}, new;"
         "swerve = {name for name in sys.modules if name.startswith('swerve.')};"
-        "ours = ('store', 'demonstrations', 'space', 'tables');"
+        "ours = ('store', 'demonstrations', 'space', 'state_checks', 'tables');"
         "assert swerve == {f'swerve.{name}' for name in ours}, swerve"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=child_environment(), timeout=60)
