@@ -97,7 +97,8 @@ def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> s
     if times is None:  # as if it lasted as long as the model's episodes
         times = np.linspace(0.0, horizon, len(states))
     steps = np.abs(problem.space.difference(states[:-1], states[1:])) / np.diff(times)[:, None]
-    speed = np.quantile(steps, FAST_SHARE, axis=0)
+    # sorted by hand: np.quantile loads another 30 ms of NumPy
+    speed = np.sort(steps, axis=0)[int(FAST_SHARE * (len(steps) - 1))]
     nominal = np.maximum(evidence.summary.fastest[task], 1e-6 * problem.space.extent / horizon)
     worst = int((speed / nominal).argmax())
     if speed[worst] <= FAST * nominal[worst]:
