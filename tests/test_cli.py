@@ -114,7 +114,8 @@ def test_second_call_needs_neither_jax_nor_user_code(
     assert status == 0
     code = (
         "import sys\n"
-        "for name in ('jax', 'equinox', 'neighbour', 'polars', 'rich.progress', 'matplotlib'):\n"
+        "for name in ('jax', 'equinox', 'neighbour', 'polars', 'rich.progress', 'matplotlib',\n"
+        "             'numpy.ma'):\n"
         "    sys.modules[name] = None\n"  # importing it would raise
         f"sys.argv = {['swerve', *map(str, arguments)]!r}\n"
         "from swerve.cli import main; main()"
