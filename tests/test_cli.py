@@ -56,6 +56,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     def run(*arguments: object) -> tuple[int, str, str]:
         sys.modules.pop("neighbour", None)  # a new process would import it anew
         monkeypatch.setattr(sys, "argv", ["swerve", *map(str, arguments)])
+        monkeypatch.setattr(os, "_exit", sys.exit)  # which would end the tests
         try:
             cli.main()
             status = 0

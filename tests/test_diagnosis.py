@@ -98,6 +98,16 @@ def test_single_fast_steps_are_noise(evidence: Evidence) -> None:
     assert "speed" not in doubts(item, evidence, 1)
 
 
+def test_coarse_sampling_is_named_where_segments_count(evidence: Evidence) -> None:
+    """The model steps every 0.1 s."""
+    between = dataclasses.replace(evidence, problem=make_record(between_states=True))
+    goal = TASKS.goal[1]
+    assert "rate" not in doubts(straight(goal, num_states=5), between, 1)  # 0.125 s
+    text = doubts(straight(goal, num_states=3), between, 1)["rate"]
+    assert text.startswith("has states up to 0.25 s apart, where the model steps every 0.1 s")
+    assert "rate" not in doubts(straight(goal, num_states=3), evidence, 1)
+
+
 def test_warnings_name_those_they_are_about(evidence: Evidence) -> None:
     items = [straight(TASKS.start[1] + 0.1 * k, name=f"d{k}") for k in range(6)]
     [warning] = [text for text in infer(evidence, items).warnings if "its goal" in text]

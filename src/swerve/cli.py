@@ -7,6 +7,7 @@ folder that holds the answer starts at once.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -224,7 +225,7 @@ def main() -> None:
     except KeyboardInterrupt:
         kept = any(word.partition("=")[0] == "--work" for word in sys.argv)
         _say("interrupted" + ("; the same command goes on from what --work holds" if kept else ""))
-        sys.exit(130)
+        os._exit(130)  # an ordinary exit crashes where JAX is compiling; every file is complete
     except BrokenPipeError:  # whoever read the output, such as head, has seen enough
         sys.stdout = None
     except (ValueError, OSError) as error:

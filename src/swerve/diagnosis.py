@@ -28,6 +28,7 @@ FACTOR = 2.0  # beyond nominal trajectories in where it ends
 FAST = 3.0  # times the fastest nominal change of a state
 FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single steps fast
 TIME_SLACK = 0.1  # of the duration
+COARSE = 1.5  # of the model's steps, between two states of a demonstration
 NUM_NAMES = 3  # demonstrations named in a warning
 
 
@@ -54,6 +55,7 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
         "end": _odd_end(demonstration, evidence, task),
         "duration": _odd_duration(demonstration, evidence, task),
         "speed": _odd_speed(demonstration, evidence, task),
+        "rate": _coarse(demonstration, evidence),
     }
     return {kind: text for kind, text in found.items() if text}
 
@@ -107,6 +109,19 @@ def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> s
         f"changes {problem.space.names[worst]} by {speed[worst]:.3g} a second, "
         f"{speed[worst] / nominal[worst]:.0f} times as fast as any nominal trajectory: another "
         "unit, such as degrees, or another t?"
+    )
+
+
+def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
+    problem, times = evidence.problem, demonstration.times
+    if times is None or not problem.between_states:
+        return ""
+    widest = float(np.diff(times).max())
+    if widest <= COARSE * problem.dt:
+        return ""
+    return (
+        f"has states up to {widest:.3g} s apart, where the model steps every {problem.dt:.3g} s: "
+        "the straight lines between them may cut through what was avoided, and strike it out"
     )
 
 
