@@ -381,6 +381,12 @@ class TestRefused:
         with pytest.raises(ValueError, match=message):
             infer(evidence_with_chances(RISING), [other])
 
+    def test_a_start_elsewhere_than_that_of_the_task(self) -> None:
+        states = np.repeat(TASKS.start[:1], 3, axis=0) + np.array([0.0, 0.5])
+        elsewhere = Demonstration("demo_4", states, Task(TASKS.start[0], TASKS.goal[0]))
+        with pytest.raises(ValueError, match=r"demo_4: the first state is .* but the task starts"):
+            infer(evidence_with_chances(RISING), [elsewhere])
+
     def test_a_step_of_half_a_turn(self) -> None:
         states = np.array([[0.1, 1.0], [0.1 + math.pi, 1.0]])
         jump = Demonstration("demo_4", states, Task(states[0], TASKS.goal[0]))

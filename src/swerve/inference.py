@@ -25,7 +25,7 @@ from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
 from swerve.hypotheses import unpack
 from swerve.problem import ProblemRecord
-from swerve.state_checks import check_states
+from swerve.state_checks import check_start, check_states
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
@@ -298,6 +298,7 @@ def _judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.nd
         )
     problem, states = evidence.problem, demonstration.states
     check_states(states, demonstration.times, problem.space, demonstration.name)
+    check_start(states[0], demonstration.task, problem.space, demonstration.name)
     _check_known(demonstration, problem)
     _check_goal(demonstration, evidence)
     task = evidence.match(demonstration.task, demonstration.name)
