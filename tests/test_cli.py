@@ -517,27 +517,26 @@ class TestBadInput:
         assert "row 17" in said
         assert "omega" in said
 
-    def test_goal_outside(self, run: Run, tmp_path: Path) -> None:
+    @pytest.mark.parametrize(
+        ("task", "message"),
+        [
+            ("1,0,1,55", "goal omega = 55 is outside the bounds"),
+            (
+                "2,0,1,0",
+                "first state is theta = 1, omega = 0, but the task starts at theta = 2",
+            ),
+        ],
+        ids=["goal outside", "starts elsewhere"],
+    )
+    def test_a_task_that_does_not_fit(
+        self, run: Run, tmp_path: Path, task: str, message: str
+    ) -> None:
         (tmp_path / "x.csv").write_text("theta,omega\n1,0\n1,0.1\n")
-        (tmp_path / "tasks.csv").write_text(
-            "demo,start_theta,start_omega,goal_theta,goal_omega\nx,1,0,1,55\n"
-        )
-        status, _, said = run(
-            "infer", "pendulum", tmp_path / "x.csv", "--tasks", tmp_path / "tasks.csv"
-        )
+        tasks = tmp_path / "tasks.csv"
+        tasks.write_text(f"demo,start_theta,start_omega,goal_theta,goal_omega\nx,{task}\n")
+        status, _, said = run("infer", "pendulum", tmp_path / "x.csv", "--tasks", tasks)
         assert status == 1
-        assert "goal omega = 55 is outside the bounds" in said
-
-    def test_starts_elsewhere(self, run: Run, tmp_path: Path) -> None:
-        (tmp_path / "x.csv").write_text("theta,omega\n1,0\n1,0.1\n")
-        (tmp_path / "tasks.csv").write_text(
-            "demo,start_theta,start_omega,goal_theta,goal_omega\nx,2,0,1,0\n"
-        )
-        status, _, said = run(
-            "infer", "pendulum", tmp_path / "x.csv", "--tasks", tmp_path / "tasks.csv"
-        )
-        assert status == 1
-        assert "start" in said
+        assert message in said
 
     def test_enters_every_hypothesis(self, robot: str, run: Run, tmp_path: Path) -> None:
         omega = np.linspace(-3.9, 3.9, 5)

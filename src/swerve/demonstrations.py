@@ -113,18 +113,27 @@ def read_demonstrations(
             raise ValueError(f"{file} is given {count} times; give each demonstration once")
     goal_names = space.names if goal_names is None else tuple(goal_names)
     known = None if tasks is None else read_tasks(tasks, space, goal_names)
+
+    def read(path: Path) -> Demonstration:
+        states, times, actions = _read_trajectory(path, space, action_names)
+        if known is None:
+            goal = states[-1] if goal_of is None else goal_of(states)
+            task = Task(states[0], shaped(goal, (len(goal_names),), "a goal", str(path)))
+            check_bounds(task, space, goal_names, str(path))
+        else:
+            task = _find_task(path.stem, known, str(path), f"in {tasks}")
+            check_start(states[0], task, space, str(path))
+        return Demonstration(path.stem, states, task, times, actions)
+
+    return _read_all(files, read)
+
+
+def _read_all(files: list[Path], read: Callable[[Path], Demonstration]) -> list[Demonstration]:
+    """Read all files, and only then say what is wrong with which."""
     demonstrations, errors = [], []
     for path in files:
         try:
-            states, times, actions = _read_trajectory(path, space, action_names)
-            if known is None:
-                goal = states[-1] if goal_of is None else goal_of(states)
-                task = Task(states[0], shaped(goal, (len(goal_names),), "a goal", str(path)))
-                check_bounds(task, space, goal_names, str(path))
-            else:
-                task = _find_task(path.stem, known, str(path), f"in {tasks}")
-                check_start(states[0], task, space, str(path))
-            demonstrations.append(Demonstration(path.stem, states, task, times, actions))
+            demonstrations.append(read(path))
         except ValueError as error:
             errors.append(str(error))
     if errors:

@@ -72,11 +72,11 @@ def sample(
 def sample_each(
     nominal: Nominal,
     tasks: Task | Sequence[Task],
-    num_trajectories: int = 10_000,
+    num_trajectories: int,
     *,
-    method: str = "importance",
-    seed: int = 0,
-    progress: bool = False,
+    method: str,
+    seed: int,
+    progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
     """Yield the number of each task and its evidence as soon as it is there; see `sample`.
 

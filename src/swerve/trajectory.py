@@ -12,6 +12,7 @@ Shapes: N trajectories, T steps, n state dimensions, A actions, g goal dimension
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -140,22 +141,6 @@ def rollout(
     )
     uniforms = jax.random.uniform(key, (mdp.num_steps, num_trajectories))
 
-    def advance(
-        carry: _Carry, goal: Array, step: Array, uniform: Array
-    ) -> tuple[_Carry, tuple[Array, Array]]:
-        action, log_probability = draw_action(policy(carry.state, step, goal), uniform)
-        taken = take_step(problem, carry.state, action, step, goal)
-        active = ~carry.ended
-        state = jnp.where(active, taken.state, carry.state)
-        carry = _Carry(
-            state,
-            carry.total_reward + jnp.where(active, taken.reward, 0.0),
-            carry.log_probability + jnp.where(active, log_probability, 0.0),
-            carry.length + active,
-            carry.ended | taken.ended,
-        )
-        return carry, (state, action)
-
     initial = _Carry(
         start,
         jnp.zeros(batch),
@@ -163,9 +148,9 @@ def rollout(
         jnp.zeros(batch, jnp.int32),
         jnp.zeros(batch, bool),
     )
-    advance_batch = jax.vmap(advance, in_axes=(-1, -1, None, -1), out_axes=-1)
+    advance = jax.vmap(partial(_advance, problem, policy), (-1, -1, None, -1), -1)
     final, (states, actions) = jax.lax.scan(
-        lambda carry, x: advance_batch(carry, goal, *x),
+        lambda carry, x: advance(carry, goal, *x),
         initial,
         (jnp.arange(mdp.num_steps), uniforms),
     )
@@ -176,3 +161,21 @@ def rollout(
         final.log_probability,
         final.length,
     )
+
+
+def _advance(
+    problem: Problem, policy: Policy, carry: _Carry, goal: Array, step: Array, uniform: Array
+) -> tuple[_Carry, tuple[Array, Array]]:
+    """Take one step of one trajectory, none where it has ended; return its state and action."""
+    action, log_probability = draw_action(policy(carry.state, step, goal), uniform)
+    taken = take_step(problem, carry.state, action, step, goal)
+    active = ~carry.ended
+    state = jnp.where(active, taken.state, carry.state)
+    carry = _Carry(
+        state,
+        carry.total_reward + jnp.where(active, taken.reward, 0.0),
+        carry.log_probability + jnp.where(active, log_probability, 0.0),
+        carry.length + active,
+        carry.ended | taken.ended,
+    )
+    return carry, (state, action)
