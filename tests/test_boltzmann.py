@@ -69,3 +69,9 @@ def test_a_task_that_cannot_avoid_the_constraint_is_named() -> None:
     task = Task(np.array([[0.6, 1.2]]), np.array([[0.0, 0.0]]))
     with pytest.raises(ValueError, match=r"demo_000: from start \[0.6, 1.2\].*another task"):
         demonstrate(short_cart(), trap, task, solver=GRID)
+
+
+def test_a_start_inside_the_constraint_is_named() -> None:
+    task = Task(np.array([[1.0, 0.0], [0.1, -0.5]]), np.zeros((2, 2)))
+    with pytest.raises(ValueError, match=r"task 1 starts at \[0.1, -0.5\], inside x .* keep out"):
+        demonstrate(short_cart(), WALL, task, solver=GRID)

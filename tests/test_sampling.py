@@ -165,3 +165,9 @@ def test_what_would_not_fit_memory_is_refused() -> None:
     )
     with pytest.raises(ValueError, match=r"10,000,000,000 hypotheses take .* GiB of memory"):
         sample(learn(fine, COARSE), PENDULUM_TASK, 10_000)
+
+
+def test_tasks_outside_the_bounds_are_refused(nominal: Nominal) -> None:
+    far = Task(np.array([1.0, 99.0]), PENDULUM_TASK.goal)
+    with pytest.raises(ValueError, match="task 1: start omega = 99 is outside the bounds"):
+        sample(nominal, [PENDULUM_TASK, far], 100)

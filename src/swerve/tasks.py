@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from swerve.constraints import Constraint
 from swerve.problem import Problem
 from swerve.space import Task
+from swerve.state_checks import check_bounds
 
 NUM_DRAWN = 20  # candidates for each task that is asked for
 
@@ -72,8 +73,8 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
     """Return tasks as one batch, starts [K, n] and goals [K, g], float64.
 
     Raises:
-      ValueError: if shapes are wrong, numbers not finite, or a start lies where no trajectory can
-        begin.
+      ValueError: if shapes are wrong, numbers not finite, a start or goal lies outside the bounds,
+        or a start where no trajectory can begin.
     """
     mdp = problem.mdp
     batch = tasks if isinstance(tasks, Task) else Task.stack(list(tasks))
@@ -91,6 +92,8 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
         if not np.isfinite(values).all():
             bad = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
             raise ValueError(f"tasks: {label} of task {bad} is not finite: {values[bad].tolist()}")
+    for k in range(len(start)):
+        check_bounds(Task(start[k], goal[k]), mdp.space, mdp.goal_names, f"tasks: task {k}")
     allowed = jax.vmap(lambda start, goal: can_begin(problem, start, goal))(
         jnp.asarray(start, jnp.float32), jnp.asarray(goal, jnp.float32)
     )

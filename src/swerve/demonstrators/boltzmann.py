@@ -63,8 +63,13 @@ def demonstrate(
     """
     if solver is not None and not isinstance(solver, Grid):
         raise ValueError(f"solver: expected a swerve.Grid, got {solver!r}")
+    batch = checked_tasks(problem, tasks)
+    for k in np.flatnonzero(constraint.contains(batch.start, problem.mdp.space)):
+        raise ValueError(
+            f"tasks: task {k} starts at {batch.start[k].tolist()}, inside {constraint.name}, which "
+            "its demonstration is to keep out of: choose another start"
+        )
     constrained = dataclasses.replace(problem, known=(*problem.known, constraint))
-    batch = checked_tasks(constrained, tasks)
     labels = [f"demo_{k:03d}" for k in range(len(batch.start))] if names is None else list(names)
     if len(labels) != len(batch.start):
         raise ValueError(f"names: expected {len(batch.start)}, one a task, got {len(labels)}")
