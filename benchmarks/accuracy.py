@@ -137,7 +137,7 @@ def accuracy(setting: Setting) -> list[dict[str, Any]]:
     ]
     rows = []
     for method in ("importance", "plain"):
-        summary = summarise(evidence.problem, evidence.tasks, evidence.samples, method)
+        summary = summarise(evidence.problem, evidence.samples, method)
         error = np.abs(1.0 - summary.avoid_probability - setting.exact).max(axis=1)
         share = evidence.effective_sample_size / evidence.num_trajectories
         rows.append(
@@ -160,7 +160,7 @@ def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dic
     """Return the first five hypotheses and the true one, in nats, beside the exact ones."""
     result = infer(setting.evidence, demonstrations)
     evidence = setting.evidence
-    plain_summary = summarise(evidence.problem, evidence.tasks, evidence.samples, "plain")
+    plain_summary = summarise(evidence.problem, evidence.samples, "plain")
     floor = 1.0 / setting.evidence.num_trajectories
     plain = -np.log(np.maximum(plain_summary.avoid_probability, floor)).sum(axis=0)
     exact = -np.log(np.maximum(1.0 - setting.exact, SURVIVAL_FLOOR)).sum(axis=0)

@@ -52,6 +52,7 @@ def make_samples(
         length=generator.integers(3, 6, shape),
         violations=np.packbits(violates, axis=-1, bitorder="little"),
         kept=generator.normal(size=(shape[0], 4, 6, 2)),
+        soft_value=np.full(shape[0], np.nan),
     )
 
 
@@ -73,8 +74,8 @@ def make_evidence(
         "num_trajectories": samples.total_reward.shape[1],
         "solver": "Toy()",
         "seed": 0,
-        "summary": summarise(record, tasks, samples, method)._replace(
-            farthest_end=np.full(len(tasks.start), np.inf),
+        "summary": summarise(record, samples, method)._replace(
+            end_reach=np.full(tasks.start.shape, np.inf),
             shortest=np.zeros(len(tasks.start)),
             fastest=np.full(tasks.start.shape, np.inf),
         ),
@@ -95,6 +96,7 @@ def evidence_of_columns(
         length=np.full(shape, 5),
         violations=np.packbits(columns, axis=-1, bitorder="little"),
         kept=np.zeros((shape[0], 2, 6, 2)),
+        soft_value=np.full(shape[0], np.nan),
     )
     tasks = Task(TASKS.start[: shape[0]], TASKS.goal[: shape[0]])
     record = make_record(hypotheses=hypotheses)

@@ -566,8 +566,8 @@ class TestBadInput:
         [
             ("--score", "best", "best"),
             ("--method", "magic", "method: expected one of importance, plain, got 'magic'"),
-            ("--samples", 0, "samples: expected at least 2, got 0"),
-            ("--seed", -1, "seed: expected a number >= 0, got -1"),
+            ("--samples", 0, "samples: expected a whole number >= 2, got 0"),
+            ("--seed", -1, "seed: expected a whole number >= 0, got -1"),
             ("--solver", "grid?num_points", "expected name=value after '?'"),
             ("--report", ".", "is a folder; name a file"),
             ("--report", "/proc/none/x.html", "cannot write in /proc/none"),

@@ -320,14 +320,21 @@ class TestPredicate:
         assert not (fine & ~exact).any()
         assert (fine == exact).mean() > 0.95
 
-    def test_a_function_of_the_wrong_shape_is_refused(self) -> None:
-        wrong = Predicate("both", lambda states: states > 0)
-        message = r"Predicate 'both': expected one boolean a state, shape \(5,\), got \(5, 2\)"
+    @pytest.mark.parametrize(
+        ("function", "got"),
+        [
+            (lambda states: states > 0, r"bool of shape \(5, 2\)"),
+            (lambda states: states[..., 0], r"float64 of shape \(5,\)"),
+            (lambda states: True, "bool of shape None"),
+        ],
+    )
+    def test_a_function_that_gives_no_boolean_a_state(self, function: Any, got: str) -> None:
+        message = rf"Predicate 'both': expected one boolean a state, shape \(5,\), got {got}"
         with pytest.raises(ValueError, match=message):
-            wrong.contains(np.zeros((5, 2)), PLANE)
+            Predicate("both", function).contains(np.zeros((5, 2)), PLANE)
 
     def test_no_points_are_refused(self) -> None:
-        with pytest.raises(ValueError, match="Predicate 'disc': expected num_points >= 1, got 0"):
+        with pytest.raises(ValueError, match=r"Predicate 'disc': num_points: .* >= 1, got 0"):
             Predicate("disc", in_disc, 0)
 
 

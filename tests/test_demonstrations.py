@@ -208,7 +208,7 @@ class TestReadingFiles:
             ({"x": [1.0, 2.0]}, "no column y; expected x, y"),
             ({"x": [], "y": []}, "a header and no rows|column x: expected numbers, got Null"),
             ({"x": ["1", "2"], "y": [1, 2]}, "column x: expected numbers, got String values"),
-            ({"x": [1.0, None], "y": [1, 2]}, "row 2, column x: expected a finite number, got nan"),
+            ({"x": [1.0, None], "y": [1, 2]}, "row 2, column x: expected a number, got null"),
         ],
     )
     def test_what_is_wrong_in_a_parquet_file(
@@ -256,9 +256,34 @@ class TestReadingFiles:
         assert read_one(path, action_names=["bx"]).actions is None
 
     def test_actions_are_finite(self, tmp_path: Path) -> None:
-        path = save(tmp_path / "demo.csv", "x,y,ax\n1,0,1\n2,1,nan\n")
+        path = save(tmp_path / "demo.csv", "x,y,ax\n1,0,1\n2,1,nan\n3,1,1\n")
         with pytest.raises(ValueError, match=r"row 2 \(line 3\), column ax: expected a finite num"):
             read_one(path, action_names=["ax"])
+
+    @pytest.mark.parametrize("blank", ["", " ", "nan"])
+    def test_no_action_need_follow_the_last_state(self, tmp_path: Path, blank: str) -> None:
+        path = save(tmp_path / "demo.csv", f"x,y,ax\n1,0,1\n2,1,2\n3,1,{blank}\n")
+        actions = read_one(path, action_names=["ax"]).actions
+        np.testing.assert_array_equal(actions, [[1.0], [2.0]])
+        pl.DataFrame({"x": [1, 2], "y": [0, 1], "ax": [3.0, None]}).write_parquet(
+            tmp_path / "demo.parquet"
+        )
+        actions = read_one(tmp_path / "demo.parquet", action_names=["ax"]).actions
+        np.testing.assert_array_equal(actions, [[3.0]])
+
+    def test_blank_cells_elsewhere_are_refused(self, tmp_path: Path) -> None:
+        for text, at in (
+            ("1,0,\n2,1,1\n", "row 1 .* column ax: expected a number, got ''"),
+            ("1,0,1\n2,,1\n", "row 2 .* column y: expected a number, got ''"),
+        ):
+            path = save(tmp_path / "demo.csv", f"x,y,ax\n{text}")
+            with pytest.raises(ValueError, match=at):
+                read_one(path, action_names=["ax"])
+
+    def test_the_tasks_are_no_demonstration(self, tmp_path: Path) -> None:
+        tasks = save(tmp_path / "tasks.csv", "demo,start_x\n")
+        with pytest.raises(ValueError, match=r"tasks\.csv is given as a demonstration and as the"):
+            read_demonstrations([tmp_path / "a.csv", tasks], PLANE, tasks=tasks)
 
 
 class TestChecks:

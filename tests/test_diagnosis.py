@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from synthetic import TASKS, make_evidence, make_record
+from synthetic import TASKS, make_demonstration, make_evidence, make_record
 
 from swerve.demonstrations import Demonstration
 from swerve.diagnosis import doubts, some_names
@@ -33,7 +33,8 @@ def evidence() -> Evidence:
     found = make_evidence()
     speed = np.abs(TASKS.goal[1] - TASKS.start[1]) / DURATION
     summary = found.summary._replace(
-        farthest_end=np.full(3, 0.01),
+        end=TASKS.goal + np.array([0.0, 0.1]),
+        end_reach=np.full((3, 2), 0.1),
         shortest=np.full(3, 0.4),
         fastest=np.tile(speed * 1.5, (3, 1)),
     )
@@ -48,21 +49,60 @@ def test_no_doubt_about_one_that_does_as_nominal_ones_do(evidence: Evidence) -> 
 
 
 def test_an_end_far_from_the_goal(evidence: Evidence) -> None:
-    """Twice as far as nominal ones, and at least 5 % of the extent; an angle wraps."""
+    """At least 5 % of the extent from the goal and from where nominal ones end; an angle wraps."""
     turn = np.array([2 * np.pi, 0.0])
     assert doubts(straight(TASKS.goal[1] - turn), make_evidence(), 1) == {}
-    near, far = (TASKS.goal[1] + np.array([0.0, x]) for x in (0.4, 0.6))  # of an extent of 10
-    assert "end" not in doubts(straight(near), evidence, 1)
-    text = doubts(straight(far), evidence, 1)["end"]
-    assert text.startswith("ends 0.06 of the state space's extent away from its goal")
-    assert "nominal trajectories come within 0.01: cut short" in text
-    wide = evidence.summary._replace(farthest_end=np.full(3, 0.031))
-    assert "end" not in doubts(straight(far), dataclasses.replace(evidence, summary=wide), 1)
+    for there in (-0.4, 0.0, 0.4, 0.65):  # of an extent of 10; nominal ones end in 0 to 0.2
+        assert "end" not in doubts(straight(TASKS.goal[1] + np.array([0.0, there])), evidence, 1)
+    far = straight(TASKS.goal[1] + np.array([0.0, 0.75]))
+    text = doubts(far, evidence, 1)["end"]
+    assert text.startswith(
+        "ends at x = 2.75, where nominal trajectories end between 2 and 2.2: cut"
+    )
+    wide = evidence.summary._replace(end_reach=np.full((3, 2), 0.4))
+    assert "end" not in doubts(far, dataclasses.replace(evidence, summary=wide), 1)
+    below = straight(TASKS.goal[1] - np.array([0.5, 0.0]))  # of the angle's 6.28
+    assert "ends at theta = 1.5," in doubts(below, evidence, 1)["end"]
 
 
-def test_a_goal_that_is_no_state_says_nothing_of_the_end(evidence: Evidence) -> None:
+def test_the_end_of_one_whose_goal_is_no_state(evidence: Evidence) -> None:
+    """It is held against where nominal trajectories end alone."""
     other = dataclasses.replace(evidence, problem=make_record(goal_names=("p", "q")))
-    assert "end" not in doubts(straight(TASKS.start[1] + 0.01), other, 1)
+    assert "end" not in doubts(straight(TASKS.goal[1] + np.array([0.0, 0.65])), other, 1)
+    cut = doubts(straight(TASKS.start[1] + 0.01), other, 1)["end"]
+    assert "ends at x = 5.01, where nominal trajectories end between 2 and 2.2" in cut
+
+
+@pytest.mark.parametrize(
+    ("changes", "method", "text"),
+    [
+        ({"kl": 0.6}, "importance", "more than 0.5 nats from pi_0 (worst: demo_b, KL 0.60)"),
+        ({"kl": 0.4}, "importance", None),
+        ({"kl": 0.4}, "plain", "equal weights take it for pi_0: use importance weights"),
+        ({"kl": 0.05}, "plain", None),
+        ({"soft_value": 3.2}, "importance", "log Z_0 is not that of its samples (worst: demo_b, "),
+        ({"soft_value": 3.08}, "importance", None),
+        ({"soft_value": 3.7, "effective_sample_size": 220.0}, "importance", None),
+        ({"soft_value": 2.8}, "importance", "log Z_0 is not that of its samples"),
+        ({"soft_value": np.nan}, "importance", None),
+        ({"kl": 0.6, "effective_sample_size": 20.0}, "importance", "effective sample size"),
+    ],
+)
+def test_a_policy_or_a_value_that_is_wrong(changes: dict, method: str, text: str | None) -> None:
+    """Of the task that is used, and only once for a task whose samples are too few already."""
+    good = {"kl": 0.0, "soft_value": 3.0, "log_partition": 3.0, "effective_sample_size": 400.0}
+    found = make_evidence(method=method, solver="Grid(num_points=(9, 9))")
+    columns = {name: np.full(3, value) for name, value in good.items()}
+    for name, value in changes.items():
+        columns[name][1] = value
+    columns["kl"][2] = columns["soft_value"][2] = 9.0  # of a task that is not used
+    found = dataclasses.replace(found, summary=found.summary._replace(**columns))
+    demonstrations = [make_demonstration(k, name) for k, name in enumerate(("demo_a", "demo_b"))]
+    warnings = infer(found, demonstrations).warnings
+    assert len(warnings) == (text is not None)
+    assert all(str(text) in warning for warning in warnings)
+    if "soft_value" in changes:
+        assert all("give it more num_points" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize(
@@ -110,8 +150,8 @@ def test_coarse_sampling_is_named_where_segments_count(evidence: Evidence) -> No
 
 def test_warnings_name_those_they_are_about(evidence: Evidence) -> None:
     items = [straight(TASKS.start[1] + 0.1 * k, name=f"d{k}") for k in range(6)]
-    [warning] = [text for text in infer(evidence, items).warnings if "its goal" in text]
-    assert warning.startswith("d0 ends ")
+    [warning] = [text for text in infer(evidence, items).warnings if "ends at" in text]
+    assert warning.startswith("d0 ends at ")
     assert warning.endswith("(so it is with d1, d2, d3 and 2 more)")
     good = infer(evidence, [straight(TASKS.goal[1])])
     assert not good.warnings

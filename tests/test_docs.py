@@ -21,7 +21,7 @@ def test_readme_and_how_to_run(
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "readme"}
     for block in python_blocks(ROOT / "README.md"):
-        exec(compile(block, "README.md", "exec"), names)
+        exec(compile(block, "README.md", "exec", dont_inherit=True), names)
     shown = capsys.readouterr().out
     assert names["result"].headline in shown
     assert "rank" in shown
@@ -30,8 +30,8 @@ def test_readme_and_how_to_run(
     (tmp_path / "work").mkdir()
     names["evidence"].save("work/grid.seed0.importance.10000.evidence")
     for block in python_blocks(ROOT / "docs" / "how-to.md"):
-        exec(compile(block, "how-to.md", "exec"), names)
-    assert "rank" in capsys.readouterr().out
+        exec(compile(block, "how-to.md", "exec", dont_inherit=True), names)
+    assert capsys.readouterr().out.count("rank") == 2
 
 
 def test_links_lead_somewhere() -> None:

@@ -41,9 +41,6 @@ def entered(cells, states, space, between_states=True):
     return unpack(cells.violations(states, space, between_states), len(cells))
 
 
-# B1 ------------------------------------------------------------------- test_hypotheses.py
-
-
 def test_a_segment_from_gap_to_gap_enters_the_cells_between() -> None:
     cells = grid(theta=(0.3, 2.0, 5))
     states = np.array(
@@ -62,9 +59,6 @@ def test_grid_agrees_with_boxes_on_a_small_range_of_an_angle(seed) -> None:
     np.testing.assert_array_equal(
         cells.violations(states, PENDULUM, True), boxes.violations(states, PENDULUM, True)
     )
-
-
-# B2 ------------------------------------------------------------------- test_hypotheses.py
 
 
 @settings(max_examples=50)
@@ -89,9 +83,6 @@ def test_a_segment_that_ends_on_a_line_example() -> None:
     np.testing.assert_array_equal(np.flatnonzero(hits), np.arange(1, 10))
 
 
-# B3 ------------------------------------------------------------------- test_hypotheses.py
-
-
 @settings(max_examples=30)
 @given(seed=seeds)
 def test_grid_agrees_with_exact_arithmetic(seed) -> None:
@@ -110,9 +101,6 @@ def test_both_diagonals_are_alike() -> None:
     assert [set(np.flatnonzero(row)) for row in hits] == [{1, 2}, {0, 3}]
 
 
-# B5 -------------------------------------------- test_evidence.py, test_constraints.py
-
-
 def test_evidence_on_boxes_with_open_sides_is_saved(tmp_path: Path) -> None:
     boxes = ConstraintHypotheses([Box(x=(-math.inf, 2.0)), Box(x=(2.0, math.inf))])
     evidence = make_evidence(make_record(hypotheses=boxes, known=(Box(x=(9.5, math.inf)),)))
@@ -121,9 +109,6 @@ def test_evidence_on_boxes_with_open_sides_is_saved(tmp_path: Path) -> None:
     assert back.fingerprint == evidence.problem.fingerprint
     json.dumps(back.to_json(), allow_nan=False)
     assert [back.hypotheses.name(k) for k in range(2)] == ["x [-inf, 2)", "x [2, inf)"]
-
-
-# B6 ------------------------------------------------------------------------ test_mdp.py
 
 
 class Rigging(eqx.Module):
@@ -160,9 +145,6 @@ def test_a_fingerprint_does_not_depend_on_addresses() -> None:
     assert len(prints) == 1
 
 
-# B7 ------------------------------------------------------------------ test_inference.py
-
-
 @pytest.mark.parametrize("goal", [[1.0], [1.0, 2.0, 3.0], []])
 def test_a_goal_of_the_wrong_length_is_refused(goal: list[float]) -> None:
     states = make_demonstration(0).states
@@ -173,12 +155,9 @@ def test_a_goal_of_the_wrong_length_is_refused(goal: list[float]) -> None:
         infer(make_evidence(), [wrong])
 
 
-# B8, B9 ------------------------------------------------------------- test_estimators.py
-
-
 @pytest.mark.parametrize("num", [0, -3])
 def test_hoeffding_needs_a_trajectory(num: int) -> None:
-    with pytest.raises(ValueError, match=f"num_trajectories: expected at least 1, got {num}"):
+    with pytest.raises(ValueError, match=f"num_trajectories: expected .* >= 1, got {num}"):
         hoeffding_error(num)
 
 
@@ -187,18 +166,12 @@ def test_nan_weights_are_refused() -> None:
         avoid_probability(np.array([0.0, np.nan]), np.zeros((2, 1), np.uint8), 3)
 
 
-# B10 --------------------------------------------------------------- test_constraints.py
-
-
 def test_the_whole_circle_contains_every_angle() -> None:
     box = Box(theta=(0.0, TWO_PI))
     tiny = np.array([0.0, -0.0, -1e-300, -1e-17, -1e-16, 1e-17, TWO_PI, -TWO_PI])
     assert box.contains(np.stack([tiny, tiny], axis=-1), PENDULUM).all()
     tiny = jnp.array([0.0, -1e-8, -1e-7, -1e-9])
     assert box.contains(jnp.stack([tiny, tiny], axis=-1), PENDULUM).all()
-
-
-# B11 ------------------------------------------------------------- test_specification.py
 
 
 @pytest.mark.parametrize(
@@ -210,9 +183,6 @@ def test_the_whole_circle_contains_every_angle() -> None:
 )
 def test_packages_installed_elsewhere_are_no_sources(path: str) -> None:
     assert not _is_user_source(Path(path))
-
-
-# B12 ---------------------------------------------------------------- test_hypotheses.py
 
 
 @pytest.mark.parametrize("cells", [math.nan, math.inf])

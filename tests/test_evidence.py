@@ -111,13 +111,13 @@ class TestSummary:
         samples = make_samples()
         samples.total_reward[1, 7] = np.nan
         with pytest.raises(ValueError, match="1 of 1200 log-weights are not finite"):
-            summarise(make_record(), TASKS, samples, "importance")
+            summarise(make_record(), samples, "importance")
 
     def test_a_task_that_no_sample_survives_is_refused(self) -> None:
         samples = make_samples()
         samples.total_reward[2] = -np.inf
         with pytest.raises(ValueError, match="all 400 sampled trajectories enter a known"):
-            summarise(make_record(), TASKS, samples, "importance")
+            summarise(make_record(), samples, "importance")
 
 
 class TestFloorAndErrors:

@@ -18,6 +18,7 @@ from reference import (
 )
 
 from swerve import MDP, Box, Grid, Pendulum, Predicate, Problem, Task, grid, learn, sample
+from swerve.diagnosis import VALUE_GAP
 from swerve.solvers.grid import GridNominal, GridPolicy
 
 STANDARD_ERRORS = 4.5
@@ -40,6 +41,7 @@ def assert_agrees(problem: Problem, task: Task, least_ess: float = 0.5, num: int
     assert evidence.log_partition[0] == pytest.approx(
         exact.log_partition, abs=STANDARD_ERRORS * spread + 1e-3
     )
+    assert evidence.soft_value[0] == pytest.approx(exact.log_partition, abs=VALUE_GAP)
 
 
 @pytest.mark.parametrize("between_states", [True, False])

@@ -342,6 +342,10 @@ class TestWarnings:
         (warning,) = result.warnings
         assert warning.startswith("the score of hypothesis 6 is only a lower bound: almost every")
         assert warning.endswith("the samples tell no more than about 6.9 nats")
+        np.testing.assert_array_equal(np.flatnonzero(result.is_lower_bound), [6])
+        assert "(≥ 6.9 nats)" in result.headline
+        assert " 6 ≥    6.91 " in result.table()
+        assert [row["is_lower_bound"] for row in result.to_json()["ranking"][:2]] == [True, False]
 
     def test_a_floored_hypothesis_that_is_not_first(self) -> None:
         """First by three good tasks; the second might be far better in the one that floors it."""

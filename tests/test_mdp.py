@@ -228,7 +228,25 @@ class TestCheck:
             ({"actions": jnp.array([[0.0, jnp.inf]])}, r"actions: .* finite .*, got \[\[0.0, inf"),
             ({"dt": 0.0}, "dt: expected a positive number of seconds, got 0.0"),
             ({"dt": math.nan}, "dt: expected a positive number of seconds, got nan"),
-            ({"num_steps": 0}, "num_steps: expected at least 1, got 0"),
+            ({"num_steps": 0}, "num_steps: expected a whole number >= 1, got 0"),
+            ({"num_steps": 2.5}, "num_steps: expected a whole number >= 1, got 2.5"),
+            ({"action_names": "ab"}, r"action_names: expected a tuple of names .*, got 'ab'"),
+            (
+                {"dynamics": lambda self, state: state},
+                r"dynamics\(state, action\): expected a function .* raised TypeError: .*takes 2",
+            ),
+            (
+                {
+                    "dynamics": lambda self, state, action: (
+                        np.array(state) if state[0] > 9 else state
+                    )
+                },
+                r"dynamics\(state, action\): .* jax.numpy .* raised TracerBoolConversionError: Att",
+            ),
+            (
+                {"terminated": lambda self, state, goal: 0.0 * state[0]},
+                r"terminated\(state, goal\): expected True or False, got 0.0 of float32",
+            ),
             (
                 {"dynamics": lambda self, state, action: state[:1]},
                 r"dynamics\(state, action\): expected shape \(2,\), got \(1,\)",

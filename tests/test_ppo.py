@@ -244,7 +244,7 @@ def test_divergence_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"num_steps": 0}, "num_steps >= 1, got 0"),
+        ({"num_steps": 0}, "num_steps: expected a whole number >= 1, got 0"),
         ({"num_lanes": 10, "num_minibatches": 4}, "num_minibatches to divide num_lanes"),
         ({"explore": 1.5}, r"explore in \[0, 1\], got 1.5"),
         ({"gae_lambda": -0.1}, r"gae_lambda in \[0, 1\]"),

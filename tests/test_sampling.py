@@ -123,7 +123,9 @@ class TestBadInput:
             sample(nominal, PENDULUM_TASK, 10, method="x")
 
     def test_number(self, nominal: Nominal) -> None:
-        with pytest.raises(ValueError, match="num_trajectories: expected at least 2, got 1"):
+        with pytest.raises(
+            ValueError, match="num_trajectories: expected a whole number >= 2, got 1"
+        ):
             sample(nominal, PENDULUM_TASK, 1)
 
     def test_no_task(self, nominal: Nominal) -> None:

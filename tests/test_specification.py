@@ -440,6 +440,33 @@ class TestLoadProblem:
             load_problem(text)
 
     @pytest.mark.parametrize(
+        ("line", "message"),
+        [
+            ("1 / 0", r"robot\.py, line {}: ZeroDivisionError: division by zero"),
+            ("import wheels", r"robot\.py, line {}: ModuleNotFoundError: No module named 'wheels'"),
+            ("x = = 1", r"robot\.py, line {}: SyntaxError: invalid syntax"),
+            (
+                "class Stub(swerve.MDP):\n    pass\nStub()",
+                r"robot\.py, line {}: TypeError: .* Stub .*dynamics",
+            ),
+            ("swerve.Box(x=(1, 0))", r"robot\.py, line {}: Box: expected low < high"),
+            ("def late():\n    return {{}}['a']\n", r"robot\.py, line {}: KeyError: 'a'"),
+        ],
+    )
+    def test_a_mistake_in_the_file_is_found_for_its_author(
+        self, folder: Path, line: str, message: str
+    ) -> None:
+        """And may be mended: the file is read anew."""
+        path, name = folder / "robot.py", "late" if "late" in line else "problem"
+        right = path.read_text()
+        path.write_text(f"{right}\nimport swerve\n{line.format()}\n")
+        number = right.count("\n") + 3 + line.strip().count("\n")
+        with pytest.raises(ValueError, match=message.format(number)):
+            load_problem(f"{path}:{name}")
+        path.write_text(right)
+        assert load_problem(f"{path}:problem").beta == 0.5
+
+    @pytest.mark.parametrize(
         ("name", "message"),
         [
             ("cart", r"robot\.py defines no 'cart'"),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
     from swerve.space import StateSpace, Task
+    from swerve.specification import load_problem
     from swerve.systems.pendulum import Pendulum
 
 __version__ = "0.1.0"
@@ -55,6 +56,7 @@ _HOMES = {
     "infer": "inference",
     "learn": "nominal",
     "load_nominal": "nominal",
+    "load_problem": "specification",
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
     "rk4": "mdp",
@@ -86,6 +88,7 @@ __all__ = [
     "infer",
     "learn",
     "load_nominal",
+    "load_problem",
     "read_demonstrations",
     "read_tasks",
     "rk4",

@@ -177,7 +177,6 @@ def demonstrate(
     """
     from swerve.demonstrations import new_files, read_tasks, write_demonstrations
     from swerve.demonstrators.boltzmann import demonstrate as draw
-    from swerve.nominal import resolve_solver
     from swerve.store import check_writable
     from swerve.tasks import draw_tasks
 
@@ -196,8 +195,7 @@ def demonstrate(
         batch = draw_tasks(job.problem, num or 10, avoid=[forbidden], seed=seed)
         names = [f"demo_{k:03d}" for k in range(num or 10)]
     new_files(out, names)  # before the work
-    grid: Any = resolve_solver(solver)  # anything else is refused
-    made = draw(job.problem, forbidden, batch, names=names, solver=grid, seed=seed, progress=True)
+    made = draw(job.problem, forbidden, batch, names=names, solver=solver, seed=seed, progress=True)
     write_demonstrations(
         out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
     )

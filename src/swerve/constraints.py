@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from swerve.arguments import whole_number
 from swerve.space import TWO_PI, StateSpace
 
 
@@ -146,11 +147,9 @@ class Predicate(Constraint):
     """
 
     def __init__(self, name: str, function: Callable[[Any], Any], num_points: int = 8) -> None:
-        if num_points < 1:
-            raise ValueError(f"Predicate {name!r}: expected num_points >= 1, got {num_points}")
         self._name = name
         self.function = function
-        self.num_points = num_points
+        self.num_points = whole_number(num_points, f"Predicate {name!r}: num_points", 1)
 
     def __repr__(self) -> str:
         """Return for example "Predicate('disc', in_disc, num_points=8)", without addresses."""
@@ -165,10 +164,14 @@ class Predicate(Constraint):
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] lies in the set."""
         inside = self.function(states)
-        if inside.shape != states.shape[:-1]:
+        shape, kind = (
+            getattr(inside, "shape", None),
+            str(getattr(inside, "dtype", type(inside).__name__)),
+        )
+        if shape != states.shape[:-1] or kind != "bool":
             raise ValueError(
                 f"Predicate {self.name!r}: expected one boolean a state, shape "
-                f"{states.shape[:-1]}, got {inside.shape}"
+                f"{states.shape[:-1]}, got {kind} of shape {shape}"
             )
         return inside
 

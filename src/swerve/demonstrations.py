@@ -87,7 +87,7 @@ def read_demonstrations(
     """Read and check demonstration files, one demonstration each.
 
     The first line of a file names its columns: the states, `t` [s] if known, the actions if
-    known; all others are ignored.
+    known (none need follow the last state); all others are ignored.
 
     Args:
       paths: CSV or Parquet files.
@@ -105,12 +105,17 @@ def read_demonstrations(
     Raises:
       OSError: if a file does not exist or cannot be opened.
       ValueError: if a file cannot be understood, its states fail `check_states`, its task is not
-        known, lies outside the state space or starts elsewhere, or a path is given twice.
+        known, lies outside the state space or starts elsewhere, or a path is given twice or is
+        that of the tasks.
     """
     files = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
     for file, count in Counter(path.resolve() for path in files).items():
         if count > 1:
             raise ValueError(f"{file} is given {count} times; give each demonstration once")
+    if tasks is not None and Path(tasks).resolve() in [path.resolve() for path in files]:
+        raise ValueError(
+            f"{tasks} is given as a demonstration and as the tasks; leave it out of one"
+        )
     goal_names = space.names if goal_names is None else tuple(goal_names)
     known = None if tasks is None else read_tasks(tasks, space, goal_names)
 
@@ -277,6 +282,8 @@ def _read_trajectory(
             f"{', '.join(action_names)}, or none"
         )
     actions = table.columns(action_names)
+    if np.isnan(actions[-1]).all():  # none follows the last state
+        actions = actions[:-1]
     check_finite(actions, action_names, row_namer(str(path), table.line_of))
     return states, times, actions
 

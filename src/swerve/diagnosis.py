@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 LOW_ESS_SHARE = 0.02
 LOW_ESS = 100.0
+HIGH_KL = {"importance": 0.5, "plain": 0.1}  # nats, between policy and pi_0
+VALUE_GAP = 0.1  # nats, between a solver's log Z_0 and that of its samples
+NUM_ERRORS = 3.0  # standard errors on top
 GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 FAR_END = 0.05  # of the extent: within it of its goal a demonstration has arrived
 FACTOR = 2.0  # beyond nominal trajectories in where it ends
@@ -37,6 +40,8 @@ def warnings(inference: Inference) -> tuple[str, ...]:
     return (
         *_exhausted(inference),
         *_low_samples(inference),
+        *_far_policy(inference),
+        *_wrong_value(inference),
         *_floored(inference),
         *_doubts(inference),
     )
@@ -61,16 +66,21 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
 
 
 def _odd_end(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
-    problem = evidence.problem
-    if problem.goal_names != problem.space.names:
+    problem, space, end = evidence.problem, evidence.problem.space, demonstration.states[-1]
+    is_state = problem.goal_names == space.names
+    if is_state and space.relative_distance(end, evidence.tasks.goal[task]) <= FAR_END:
         return ""
-    goal, nominal = evidence.tasks.goal[task], float(evidence.summary.farthest_end[task])
-    end = float(problem.space.relative_distance(demonstration.states[-1], goal))
-    if end <= max(FAR_END, FACTOR * nominal):
+    middle, reach = evidence.summary.end[task], evidence.summary.end_reach[task]
+    away = space.difference(middle, end)
+    beyond = np.abs(away) - np.maximum(reach + FAR_END * space.extent, FACTOR * reach)
+    worst = int((beyond / space.extent).argmax())
+    if beyond[worst] <= 0.0:
         return ""
+    low, high = middle[worst] - reach[worst], middle[worst] + reach[worst]
     return (
-        f"ends {end:.2g} of the state space's extent away from its goal, where nominal "
-        f"trajectories come within {nominal:.2g}: cut short, or the goal of another task?"
+        f"ends at {space.names[worst]} = {middle[worst] + away[worst]:.3g}, where nominal "
+        f"trajectories end between {low:.3g} and {high:.3g}: cut short, another unit, or the goal "
+        "of another task?"
     )
 
 
@@ -149,16 +159,60 @@ def _exhausted(inference: Inference) -> Iterator[str]:
         )
 
 
+def _low_ess(inference: Inference) -> np.ndarray:
+    """Return [K] whether a task that is used has too few effective samples."""
+    least = max(LOW_ESS, LOW_ESS_SHARE * inference.evidence.num_trajectories)
+    return (inference.evidence.effective_sample_size < least) & (inference.task_counts > 0)
+
+
 def _low_samples(inference: Inference) -> Iterator[str]:
-    evidence, used = inference.evidence, inference.task_counts > 0
+    evidence, used, low = inference.evidence, inference.task_counts > 0, _low_ess(inference)
     ess, num = evidence.effective_sample_size, evidence.num_trajectories
-    low = (ess < max(LOW_ESS, LOW_ESS_SHARE * num)) & used
     if low.any():
         worst = int(np.flatnonzero(low)[ess[low].argmin()])
         yield (
             f"not to be trusted: the effective sample size is too low for {low.sum()} of "
             f"{np.count_nonzero(used)} tasks (worst: {inference.task_name(worst)}, "
             f"{ess[worst]:.0f} of {num}). {_remedy(ess[worst] / num, evidence.solver)}"
+        )
+
+
+def _far_policy(inference: Inference) -> Iterator[str]:
+    """Yield that standard errors say nothing of what a policy far from pi_0 hardly ever does."""
+    evidence = inference.evidence
+    used = (inference.task_counts > 0) & ~_low_ess(inference)
+    far = used & (evidence.kl > HIGH_KL[evidence.method])
+    if far.any():
+        worst = int(np.where(far, evidence.kl, 0.0).argmax())
+        cause = "what it hardly ever does may be missing from them"
+        if evidence.method == "plain":
+            cause = "equal weights take it for pi_0: use importance weights"
+        yield (
+            f"errors may be larger than stated: for {far.sum()} of "
+            f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
+            f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {inference.task_name(worst)}, KL "
+            f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(0.0, evidence.solver)}"
+        )
+
+
+def _wrong_value(inference: Inference) -> Iterator[str]:
+    """Yield that the solver's own log Z_0 is not what its samples say."""
+    evidence = inference.evidence
+    used = (inference.task_counts > 0) & ~_low_ess(inference)
+    share = evidence.effective_sample_size / evidence.num_trajectories
+    error = np.sqrt((1.0 / share - 1.0) / evidence.num_trajectories)  # of log Z_0
+    # weights account for -log(share): where that share of trajectories survives a wall, say
+    explained = NUM_ERRORS * error - np.log(share)
+    gap = np.abs(evidence.soft_value - evidence.log_partition) - explained
+    wrong = used & (gap > VALUE_GAP)  # not where the solver has no value: then the gap is NaN
+    if wrong.any():
+        worst = int(np.where(wrong, gap, 0.0).argmax())
+        yield (
+            f"errors may be larger than stated: for {wrong.sum()} of "
+            f"{np.count_nonzero(inference.task_counts)} tasks the solver's log Z_0 is not that of "
+            f"its samples (worst: {inference.task_name(worst)}, "
+            f"{evidence.soft_value[worst]:.2f} and {evidence.log_partition[worst]:.2f} nats). "
+            f"{_remedy(0.0, evidence.solver)}"
         )
 
 
@@ -178,7 +232,7 @@ def _floored(inference: Inference) -> Iterator[str]:
     """Yield that scores are lower bounds where almost every nominal trajectory enters."""
     evidence, ranking = inference.evidence, inference.ranking
     floored = evidence.is_floored & (inference.task_counts > 0)[:, None]
-    bounds = ranking[np.flatnonzero(floored[:, ranking].any(axis=0))]
+    bounds = ranking[inference.is_lower_bound[ranking]]
     if len(bounds):
         names = some_names([f"hypothesis {index}" for index in bounds])
         resolution = evidence.resolution[floored[:, bounds].any(axis=1)]

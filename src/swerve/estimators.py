@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swerve.arguments import whole_number
+
 BLOCK = 128  # bytes, of 8 hypotheses each, unpacked at a time
 
 
@@ -162,8 +164,7 @@ def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:
     Raises:
       ValueError: if `confidence` is not between 0 and 1, or there is no trajectory.
     """
-    if num_trajectories < 1:
-        raise ValueError(f"num_trajectories: expected at least 1, got {num_trajectories}")
+    whole_number(num_trajectories, "num_trajectories", 1)
     return math.sqrt(math.log(2.0 / _miss_probability(confidence)) / (2.0 * num_trajectories))
 
 

@@ -25,7 +25,7 @@ from swerve.samples import Samples, Summary, equalise, log_weights, summarise
 from swerve.space import Task
 
 KIND = "swerve-evidence"
-VERSION = 1
+VERSION = 2
 Fields = TypeVar("Fields", bound=tuple)
 
 MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
@@ -115,6 +115,11 @@ class Evidence:
         return self.summary.kl
 
     @property
+    def soft_value(self) -> np.ndarray:
+        """[K] log Z_0 by the solver's own soft value, nats; NaN where it has none."""
+        return self.summary.soft_value
+
+    @property
     def effective_sample_size(self) -> np.ndarray:
         """[K] effective sample size of the importance weights, whatever the method.
 
@@ -195,7 +200,7 @@ class Evidence:
         """Return the same trajectories weighed by another method."""
         if method == self.method:
             return self
-        summary = summarise(self.problem, self.tasks, self.samples, method)
+        summary = summarise(self.problem, self.samples, method)
         return dataclasses.replace(self, method=method, summary=summary)
 
     def joined(self, *others: Evidence) -> Evidence:

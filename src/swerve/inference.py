@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from swerve.arguments import instance
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
@@ -83,6 +84,12 @@ class Inference:
         """[H] standard error of `average_violation`."""
         variance = self.task_counts**2 @ self.evidence.summary.avoid_variance
         return np.sqrt(variance) / self.task_counts.sum()
+
+    @cached_property
+    def is_lower_bound(self) -> np.ndarray:
+        """[H] True where almost every nominal trajectory of a task enters: see `is_floored`."""
+        floored = self.evidence.is_floored & (self.task_counts > 0)[:, None]
+        return np.asarray(floored.any(axis=0))
 
     @property
     def score(self) -> np.ndarray:
@@ -159,8 +166,9 @@ class Inference:
         lines = [f"{'rank':>5} {'index':>6}  {'nats':>8} {'+-':>6}  {'violated':>8}  hypothesis"]
         for index, rank in list(zip(self.ranking, self.rank, strict=True))[:num_rows]:
             tied = "=" if np.count_nonzero(self.rank == rank) > 1 else " "
+            least = "≥" if self.is_lower_bound[index] else " "
             lines.append(
-                f"{rank:>4}{tied} {index:>6}  {self.log_likelihood[index]:>8.2f} "
+                f"{rank:>4}{tied} {index:>6} {least}{self.log_likelihood[index]:>8.2f} "
                 f"{self.standard_error[index]:>6.2f}  {self.average_violation[index]:>8.3f}  "
                 f"{self.hypothesis_name(index)}"
             )
@@ -182,6 +190,7 @@ class Inference:
                     "name": self.hypothesis_name(index),
                     "log_likelihood": float(self.log_likelihood[index]),
                     "standard_error": float(self.standard_error[index]),
+                    "is_lower_bound": bool(self.is_lower_bound[index]),
                     "average_violation": float(self.average_violation[index]),
                     "rank": int(rank),
                 }
@@ -273,8 +282,10 @@ def infer(
       The ranking.
 
     Raises:
-      ValueError: if a demonstration has no evidence for its task, or does not fit the problem.
+      ValueError: if an argument is of the wrong kind, a demonstration has no evidence for its task,
+        or it does not fit the problem.
     """
+    instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
     if score not in SCORES:
         raise ValueError(f"score: expected one of {', '.join(SCORES)}, got {score!r}")
     if isinstance(demonstrations, Demonstration):

@@ -13,7 +13,7 @@ F features. All methods work on one state; solvers map them over batches.
 
 import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from swerve.arguments import whole_number
 from swerve.space import StateSpace, Task
 
 
@@ -167,6 +168,12 @@ def check_mdp(mdp: MDP) -> None:
       ValueError: naming the attribute or method, what was expected and what came.
     """
     name = type(mdp).__name__
+    for label in ("state_names", "action_names", "angles", "goal_names"):
+        if isinstance(getattr(mdp, label), str):
+            raise ValueError(
+                f"{name}.{label}: expected a tuple of names such as ('x', 'v'), got "
+                f"{getattr(mdp, label)!r}"
+            )
     num_states = len(mdp.state_names)
     actions = np.asarray(mdp.actions)
     if actions.ndim != 2 or actions.shape[1] != len(mdp.action_names) or actions.shape[0] < 1:
@@ -178,24 +185,47 @@ def check_mdp(mdp: MDP) -> None:
         raise ValueError(f"{name}.actions: expected finite numbers, got {actions.tolist()}")
     if not (math.isfinite(mdp.dt) and mdp.dt > 0):
         raise ValueError(f"{name}.dt: expected a positive number of seconds, got {mdp.dt}")
-    if mdp.num_steps < 1:
-        raise ValueError(f"{name}.num_steps: expected at least 1, got {mdp.num_steps}")
+    whole_number(mdp.num_steps, f"{name}.num_steps", 1)
     state = jnp.asarray(mdp.space.bounds.mean(axis=1), jnp.float32)
     goal = state if mdp.goal_names == mdp.state_names else jnp.zeros(len(mdp.goal_names))
-    action = mdp.actions[0]
-    for label, value, shape in (
-        ("dynamics(state, action)", mdp.dynamics(state, action), (num_states,)),
-        ("reward(state, action, next_state, goal)", mdp.reward(state, action, state, goal), ()),
-        ("terminal_reward(state, goal)", mdp.terminal_reward(state, goal), ()),
-        ("terminated(state, goal)", mdp.terminated(state, goal), ()),
+    action = jnp.asarray(mdp.actions)[0]
+    for label, method, arguments, shape, kind in (
+        ("dynamics(state, action)", mdp.dynamics, (state, action), (num_states,), float),
+        (
+            "reward(state, action, next_state, goal)",
+            mdp.reward,
+            (state, action, state, goal),
+            (),
+            float,
+        ),
+        ("terminal_reward(state, goal)", mdp.terminal_reward, (state, goal), (), float),
+        ("terminated(state, goal)", mdp.terminated, (state, goal), (), bool),
     ):
-        if jnp.shape(value) != shape:
-            raise ValueError(f"{name}.{label}: expected shape {shape}, got {jnp.shape(value)}")
-        if not np.isfinite(np.asarray(value, float)).all():
-            raise ValueError(
-                f"{name}.{label}: expected finite numbers, got {np.asarray(value).tolist()} at the "
-                f"centre of the bounds, state {np.asarray(state).tolist()}"
-            )
+        _check_method(f"{name}.{label}", method, arguments, shape, kind)
+
+
+def _check_method(
+    label: str, method: Callable[..., Any], arguments: tuple[Array, ...], shape: tuple, kind: type
+) -> None:
+    """Try a method of an MDP, as it is and under JAX, and check what it returns."""
+    try:
+        jax.eval_shape(method, *arguments)
+        value = jnp.asarray(method(*arguments))
+    except Exception as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"{label}: expected a function written with jax.numpy that takes these arguments, but "
+            f"it raised {type(error).__name__}: {reason}"
+        ) from error
+    if value.shape != shape:
+        raise ValueError(f"{label}: expected shape {shape}, got {value.shape}")
+    if kind is bool and value.dtype != bool:
+        raise ValueError(f"{label}: expected True or False, got {value} of {value.dtype}")
+    if not np.isfinite(np.asarray(value, float)).all():
+        raise ValueError(
+            f"{label}: expected finite numbers, got {np.asarray(value).tolist()} at the centre of "
+            f"the bounds, state {np.asarray(arguments[0]).tolist()}"
+        )
 
 
 def _embed(state: Array, centre: np.ndarray, half: np.ndarray, is_angle: np.ndarray) -> Array:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from swerve import store
+from swerve.arguments import instance, whole_number
 from swerve.problem import Problem
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
@@ -25,6 +26,7 @@ KIND = "swerve-nominal"
 VERSION = 1
 
 
+@runtime_checkable
 class Nominal(Protocol):
     """An approximation of pi_0 for every goal of a problem."""
 
@@ -54,6 +56,7 @@ class Nominal(Protocol):
         ...
 
 
+@runtime_checkable
 class Solver(Protocol):
     """A way to pi_0: a frozen dataclass of settings.
 
@@ -111,9 +114,22 @@ def learn(
       The nominal distribution, ready for `sample` with any tasks.
 
     Raises:
-      ValueError: if there is no such solver, or it cannot solve this problem.
+      ValueError: if an argument is of the wrong kind, there is no such solver, or it cannot solve
+        this problem.
     """
+    instance(
+        problem,
+        Problem,
+        "problem",
+        "make one with swerve.Problem or swerve.load_problem('pendulum')",
+    )
     chosen = resolve_solver(solver) if isinstance(solver, str) else solver
+    if isinstance(chosen, type) or not isinstance(chosen, Solver):
+        raise ValueError(
+            "solver: expected a name such as 'grid', or an object such as swerve.PPO(), got "
+            f"{chosen!r}"
+        )
+    seed = whole_number(seed, "seed", 0)
     path = Path(checkpoint) if checkpoint is not None else None
     return chosen.learn(problem, tasks=tasks, seed=seed, progress=progress, checkpoint=path)
 

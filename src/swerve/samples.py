@@ -12,7 +12,6 @@ import numpy as np
 
 from swerve import estimators
 from swerve.problem import ProblemRecord
-from swerve.space import Task
 
 METHODS = ("importance", "plain")
 
@@ -45,6 +44,7 @@ class Samples(NamedTuple):
       length: [K, N] steps taken.
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
       kept: [K, M, T+1, n] a few whole trajectories, drawn by weight, for pictures.
+      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none.
     """
 
     total_reward: np.ndarray
@@ -52,6 +52,7 @@ class Samples(NamedTuple):
     length: np.ndarray
     violations: np.ndarray
     kept: np.ndarray
+    soft_value: np.ndarray
 
 
 class Summary(NamedTuple):
@@ -63,8 +64,9 @@ class Summary(NamedTuple):
       log_partition: [K] log Z_0, nats.
       kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats.
       effective_sample_size: [K] of the importance weights, whatever the method.
-      farthest_end: [K] how far from its goal, in units of the states' extent, a nominal trajectory
-        ends at most, of those kept; inf where goals are no states.
+      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none.
+      end: [K, n] the middle of the box of states where the trajectories kept end.
+      end_reach: [K, n] half the sides of that box.
       shortest: [K] duration of the shortest trajectory [s].
       fastest: [K, n] the fastest change of each state [a second] in the trajectories kept.
     """
@@ -74,12 +76,14 @@ class Summary(NamedTuple):
     log_partition: np.ndarray
     kl: np.ndarray
     effective_sample_size: np.ndarray
-    farthest_end: np.ndarray
+    soft_value: np.ndarray
+    end: np.ndarray
+    end_reach: np.ndarray
     shortest: np.ndarray
     fastest: np.ndarray
 
 
-def summarise(problem: ProblemRecord, tasks: Task, samples: Samples, method: str) -> Summary:
+def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
     """Estimate what inference needs from sampled trajectories of K tasks."""
     rows = []
     for k, log_weight in enumerate(log_weights(problem, samples)):
@@ -96,7 +100,8 @@ def summarise(problem: ProblemRecord, tasks: Task, samples: Samples, method: str
                 log_partition,
                 estimators.kl_divergence(log_weight, log_partition),
                 estimators.effective_sample_size(log_weight),
-                _farthest_end(problem, kept, tasks.goal[k]),
+                samples.soft_value[k],
+                *_end_box(problem, kept[:, -1]),
                 samples.length[k][np.isfinite(log_weight)].min() * problem.dt,
                 speed.max(axis=(0, 1)),
             )
@@ -104,11 +109,11 @@ def summarise(problem: ProblemRecord, tasks: Task, samples: Samples, method: str
     return Summary(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _farthest_end(problem: ProblemRecord, kept: np.ndarray, goal: np.ndarray) -> float:
-    """Return how far trajectories [M, T+1, n] end from a goal at most, of the states' extent."""
-    if problem.goal_names != problem.space.names:
-        return np.inf
-    return float(problem.space.relative_distance(kept[:, -1], goal).max())
+def _end_box(problem: ProblemRecord, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middle [n] and half the sides [n] of the box around states [M, n]."""
+    away = problem.space.difference(ends[0], ends)
+    low, high = away.min(axis=0), away.max(axis=0)
+    return ends[0] + 0.5 * (low + high), 0.5 * (high - low)
 
 
 def log_weights(problem: ProblemRecord, sampled: Sampled) -> np.ndarray:

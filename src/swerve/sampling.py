@@ -16,11 +16,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from swerve import estimators
+from swerve.arguments import whole_number
 from swerve.evidence import Evidence
 from swerve.nominal import Nominal
 from swerve.problem import Problem, ProblemRecord
@@ -28,7 +30,7 @@ from swerve.progress import progress_bar
 from swerve.samples import METHODS, Samples, log_weights, summarise
 from swerve.space import Task
 from swerve.tasks import checked_tasks
-from swerve.trajectory import Policy, rollout
+from swerve.trajectory import Policy, SoftPolicy, rollout
 
 CHUNK = 2048  # trajectories rolled out at once: their activations stay in cache
 NUM_KEPT = 100
@@ -60,7 +62,8 @@ def sample(
       Evidence for these tasks, in their order.
 
     Raises:
-      ValueError: if a task does not fit the problem, or the dynamics return NaN.
+      ValueError: if an argument is of the wrong kind or range, a task does not fit the problem, or
+        the dynamics return NaN.
     """
     found = dict(
         sample_each(nominal, tasks, num_trajectories, method=method, seed=seed, progress=progress)
@@ -82,11 +85,13 @@ def sample_each(
 
     Tasks with the same goal follow one another, whatever their order.
     """
+    if not isinstance(nominal, Nominal):
+        raise ValueError(f"nominal: expected what swerve.learn returns, got {nominal!r}")
     batch = checked_tasks(nominal.problem, tasks)
     if method not in METHODS:
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-    if num_trajectories < 2:
-        raise ValueError(f"num_trajectories: expected at least 2, got {num_trajectories}")
+    num_trajectories = whole_number(num_trajectories, "num_trajectories", 2)
+    seed = whole_number(seed, "seed", 0)
     _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs about as much
@@ -101,7 +106,7 @@ def sample_each(
                 job = _Job(nominal.problem, record, policy, task, num_trajectories, seed)
                 try:
                     samples = _sample_task(job, workers.map, advance)
-                    summary = summarise(record, alone, samples, method)
+                    summary = summarise(record, samples, method)
                 except ValueError as error:
                     raise ValueError(
                         f"task {k}, from {task.start.tolist()} to {task.goal.tolist()}: {error}"
@@ -188,7 +193,20 @@ def _sample_task(job: _Job, run_all: Callable, advance: Callable[..., None]) -> 
     chunk, within = _at(_points(), np.array([chunk.log_total for chunk in chunks]))
     place = np.minimum((within * NUM_KEPT).astype(int), NUM_KEPT - 1)
     kept = np.stack([chunks[c].kept[k] for c, k in zip(chunk, place, strict=True)])
-    return Samples(*columns, kept=kept[None])
+    return Samples(*columns, kept=kept[None], soft_value=_soft_value(job)[None])
+
+
+def _soft_value(job: _Job) -> np.ndarray:
+    """Return log Z_0 of the task by the solver's own soft value, NaN where it has none."""
+    if not isinstance(job.policy, SoftPolicy):
+        return np.array(np.nan)
+    start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
+    return np.asarray(_value_at_start(job.policy, start, goal), np.float64)
+
+
+@eqx.filter_jit
+def _value_at_start(policy: SoftPolicy, start: jax.Array, goal: jax.Array) -> jax.Array:
+    return policy.soft_value(start, jnp.zeros((), jnp.int32), goal)
 
 
 def _sample_chunk(job: _Job, key: jax.Array, size: int, used: int) -> _Chunk:

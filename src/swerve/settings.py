@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from swerve.arguments import whole_number
 from swerve.samples import METHODS
 from swerve.specification import Specification
 
@@ -33,10 +34,10 @@ class Settings:
             object.__setattr__(self, "solver", str(Specification.parse(self.solver)))
         if self.method is not None and self.method not in METHODS:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if self.num_trajectories is not None and self.num_trajectories < 2:
-            raise ValueError(f"samples: expected at least 2, got {self.num_trajectories}")
-        if self.seed is not None and self.seed < 0:
-            raise ValueError(f"seed: expected a number >= 0, got {self.seed}")
+        if self.num_trajectories is not None:
+            whole_number(self.num_trajectories, "samples", 2)
+        if self.seed is not None:
+            whole_number(self.seed, "seed", 0)
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Settings:

@@ -38,6 +38,9 @@ class Task(NamedTuple):
         """Join single tasks into one batch with a leading axis."""
         if not tasks:
             raise ValueError("expected at least one task, got an empty list")
+        for task in tasks:
+            if not isinstance(task, Task):
+                raise ValueError(f"expected swerve.Task(start, goal), got {task!r}")
         return cls(
             np.stack([np.asarray(task.start, float) for task in tasks]),
             np.stack([np.asarray(task.goal, float) for task in tasks]),

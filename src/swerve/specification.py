@@ -14,7 +14,9 @@ import inspect
 import re
 import sys
 import sysconfig
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
@@ -114,7 +116,8 @@ def load_problem(text: str) -> Any:
         raise ValueError(f"{text!r}: {path} defines no {name!r}")
     found = getattr(module, name)
     if callable(found) and not isinstance(found, Problem):
-        found = build(found, specification, text)
+        with _user_code():
+            found = build(found, specification, text)
     elif specification.parameters:
         raise ValueError(
             f"{text!r}: {name!r} is a Problem, not a function that returns one, "
@@ -226,8 +229,37 @@ def _load_file(path: Path) -> ModuleType:
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
-    specification.loader.exec_module(module)
+    try:
+        with _user_code():
+            specification.loader.exec_module(module)
+    except ValueError:
+        del sys.modules[name]
+        raise
     return module
+
+
+@contextmanager
+def _user_code() -> Iterator[None]:
+    """Turn whatever a user's code raises into a ValueError that says on which line of which file.
+
+    What does not come from a line of theirs is left as it is.
+    """
+    try:
+        yield
+    except Exception as error:
+        lines = [
+            f"{frame.f_code.co_filename}, line {number}"
+            for frame, number in traceback.walk_tb(error.__traceback__)
+            if frame.f_globals.get("__name__", "").partition(".")[0] != "swerve"
+            and _is_user_source(Path(frame.f_code.co_filename))
+        ]
+        if isinstance(error, SyntaxError) and error.filename:
+            lines.append(f"{error.filename}, line {error.lineno}")
+        if not lines:
+            raise
+        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        text = error.msg if isinstance(error, SyntaxError) else error
+        raise ValueError(f"{lines[-1]}: {kind}{text}") from error
 
 
 def _check_neighbours(path: Path) -> None:
@@ -254,7 +286,8 @@ def _same(a: Path, b: Path) -> bool:
 def _load_module(name: str, text: str) -> ModuleType:
     _search_here()
     try:
-        return importlib.import_module(name)
+        with _user_code():
+            return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise ValueError(f"{text!r}: {error}") from error
 
@@ -270,7 +303,9 @@ def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parame
     hint, remark = _annotation(function, parameter), ""
     kinds = [kind for kind in (get_args(hint) or (hint,)) if kind in list(_CONVERSIONS)]
     if not kinds:
-        kinds = [kind for kind in _CONVERSIONS if isinstance(parameter.default, kind)][:1]
+        kinds = [kind for kind in (bool, int, float, str) if isinstance(parameter.default, kind)][
+            :1
+        ]
         remark = f": its default is {parameter.default!r}"
         if kinds == [int]:
             remark += ", so annotate it as float if it may have fractions"
@@ -279,7 +314,7 @@ def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parame
             return _CONVERSIONS[kind](value)
         except ValueError:
             continue
-    expected = " or ".join(kind.__name__ for kind in kinds)
+    expected = " or ".join(str(kind) if get_args(kind) else kind.__name__ for kind in kinds)
     raise ValueError(f"expected {expected}, got {value!r}{remark}")
 
 
@@ -308,6 +343,13 @@ def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
     return [getattr(inspect.unwrap(inner), "__globals__", {})]
 
 
+def _ints(value: str) -> tuple[int, ...]:
+    """Return several numbers; a single one is no tuple."""
+    if "," not in value:
+        raise ValueError
+    return tuple(_int(part) for part in value.split(","))
+
+
 def _bool(value: str) -> bool:
     if value.lower() not in ("true", "false"):
         raise ValueError
@@ -324,7 +366,8 @@ def _int(value: str) -> int:
     return int(number)
 
 
-_CONVERSIONS: dict[type, Callable[[str], Any]] = {
+_CONVERSIONS: dict[Any, Callable[[str], Any]] = {
+    tuple[int, ...]: _ints,
     bool: _bool,
     int: _int,
     float: float,

@@ -100,7 +100,7 @@ def _read_csv(
     if label is None:
         values = _parse_fast(text, [found.index(name) for name in names])
     if values is None:
-        values, labels = _parse_cells(path, text, found, names, label)
+        values, labels = _parse_cells(path, text, found, names, label, optional)
     return Table(names, values, labels, lambda row: list(_csv_rows(path, text))[row + 1][0])
 
 
@@ -127,9 +127,17 @@ def _parse_fast(text: str, indices: list[int]) -> np.ndarray | None:
 
 
 def _parse_cells(
-    path: Path, text: str, found: list[str], names: list[str], label: str | None
+    path: Path,
+    text: str,
+    found: list[str],
+    names: list[str],
+    label: str | None,
+    optional: Sequence[str],
 ) -> tuple[np.ndarray, list[str]]:
-    """Return numbers and labels, or raise the error that names the cell at fault."""
+    """Return numbers and labels, or raise the error that names the cell at fault.
+
+    In the last row, columns that are optional may be blank: no action follows the last state.
+    """
     rows = list(_csv_rows(path, text))[1:]
     values, labels = np.empty((len(rows), len(names))), []
     for row, (line, cells) in enumerate(rows):
@@ -140,6 +148,8 @@ def _parse_cells(
             labels.append(cells[found.index(label)].strip())
         for column, name in enumerate(names):
             cell = cells[found.index(name)]
+            if name in optional and row == len(rows) - 1 and not cell.strip():
+                cell = "nan"
             try:
                 values[row, column] = float(cell)
             except ValueError:
@@ -161,6 +171,9 @@ def _read_parquet(
     for name in names:
         if not schema[name].is_numeric():
             raise ValueError(f"{path}: column {name}: expected numbers, got {schema[name]} values")
+        if name in required and frame[name].null_count():
+            row = frame[name].is_null().arg_true()[0]
+            raise ValueError(f"{path}: row {row + 1}, column {name}: expected a number, got null")
     numbers = frame.select(pl.col(names).cast(pl.Float64).fill_null(float("nan")))
     labels = [] if label is None else frame[label].cast(pl.String).to_list()
     return Table(names, numbers.to_numpy(), labels, None)

@@ -77,6 +77,8 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
         or a start where no trajectory can begin.
     """
     mdp = problem.mdp
+    if not isinstance(tasks, Iterable):
+        raise ValueError(f"tasks: expected swerve.Task(start, goal), got {tasks!r}")
     batch = tasks if isinstance(tasks, Task) else Task.stack(list(tasks))
     start = np.atleast_2d(np.asarray(batch.start, np.float64))
     goal = np.asarray(batch.goal, np.float64).reshape(len(start), -1)

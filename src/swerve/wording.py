@@ -112,9 +112,13 @@ def rank(inference: Inference, row: int) -> str:
 
 
 def score(inference: Inference, index: int) -> str:
-    """Return for example '13.4 ± 0.1 nats' or 'average violation 0.274 ± 0.001'."""
+    """Return for example '13.4 ± 0.1 nats', '≥ 7.2 nats' or 'average violation 0.274 ± 0.001'."""
     text = measured(inference.score[index], inference.score_error[index])
-    return f"{text} nats" if inference.score_name == "likelihood" else f"average violation {text}"
+    if inference.score_name == "average":
+        return f"average violation {text}"
+    if inference.is_lower_bound[index]:
+        text = f"≥ {inference.score[index]:.1f}"
+    return f"{text} nats"
 
 
 def measured(value: float, error: float) -> str:

@@ -18,8 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve import estimators
+from swerve.arguments import instance, whole_number
 from swerve.constraints import Constraint
 from swerve.demonstrations import Demonstration
+from swerve.nominal import learn, resolve_solver
 from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.samples import log_weights
@@ -36,10 +38,10 @@ STREAM = zlib.crc32(b"demonstrations")  # a seed that tasks were drawn with give
 def demonstrate(
     problem: Problem,
     constraint: Constraint,
-    tasks: Task,
+    tasks: Task | Sequence[Task],
     *,
     names: Sequence[str] | None = None,
-    solver: Grid | None = None,
+    solver: str | Grid = "grid",
     seed: int = 0,
     progress: bool = False,
 ) -> list[Demonstration]:
@@ -48,9 +50,9 @@ def demonstrate(
     Args:
       problem: the model; its hypotheses do not matter.
       constraint: c, which the demonstrations obey.
-      tasks: starts [K, n] and goals [K, g].
+      tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
       names: what to call the demonstrations; demo_000 and so on if None.
-      solver: the grid on which pi_c is worked out; the default resolution if None.
+      solver: the grid on which pi_c is worked out, or a text such as "grid?num_points=81".
       seed: of the drawing.
       progress: whether to show a progress bar.
 
@@ -61,8 +63,10 @@ def demonstrate(
       ValueError: if a start lies inside the constraint, a task cannot be done without entering, or
         the solver is no Grid.
     """
-    if solver is not None and not isinstance(solver, Grid):
-        raise ValueError(f"solver: expected a swerve.Grid, got {solver!r}")
+    instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
+    chosen = resolve_solver(solver) if isinstance(solver, str) else solver
+    instance(chosen, Grid, "solver", "pi_c is worked out on a grid")
+    seed = whole_number(seed, "seed", 0)
     batch = checked_tasks(problem, tasks)
     for k in np.flatnonzero(constraint.contains(batch.start, problem.mdp.space)):
         raise ValueError(
@@ -73,7 +77,7 @@ def demonstrate(
     labels = [f"demo_{k:03d}" for k in range(len(batch.start))] if names is None else list(names)
     if len(labels) != len(batch.start):
         raise ValueError(f"names: expected {len(batch.start)}, one a task, got {len(labels)}")
-    nominal = (solver or Grid()).learn(constrained)
+    nominal = learn(constrained, chosen)
     stream = jax.random.fold_in(jax.random.key(seed), STREAM)
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     found: dict[int, Demonstration] = {}

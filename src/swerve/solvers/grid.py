@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from swerve.arguments import whole_number
 from swerve.problem import Problem
 from swerve.solvers.grid_model import (
     CLIFF,
@@ -45,7 +46,7 @@ from swerve.solvers.grid_model import (
     in_sight,
     is_open,
 )
-from swerve.solvers.interpolation import StateGrid, choose_smooth
+from swerve.solvers.interpolation import STENCIL, StateGrid, choose_smooth
 from swerve.space import Task
 from swerve.trajectory import enters
 
@@ -61,12 +62,19 @@ class Grid:
 
     Attributes:
       num_points: nodes along each axis, or 0 for the default resolution: 361 nodes in two
-        dimensions (angles 180), 1001 in one, 61 in three.
+        dimensions (angles 180), 1001 in one, 61 in three. In a text: "grid?num_points=180,361".
     """
 
     num_points: tuple[int, ...] | int = 0
 
     name = "grid"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.num_points, Iterable):
+            points = tuple(whole_number(x, "Grid: num_points", STENCIL) for x in self.num_points)
+            object.__setattr__(self, "num_points", points)
+        else:
+            whole_number(self.num_points, "Grid: num_points", 0)
 
     def learn(
         self,
@@ -110,7 +118,7 @@ class Grid:
         elif isinstance(self.num_points, int):
             resolution = (self.num_points,) * len(space.names)
         else:
-            resolution = tuple(self.num_points)
+            resolution = self.num_points
         num_nodes = StateGrid(space, resolution).num_nodes
         # 8 bytes an entry, twice while the actions' parts are joined
         matrix = 2 * 8 * num_nodes * problem.mdp.num_actions * (4**n + 2**n)

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from swerve import estimators, store
+from swerve.arguments import whole_number
 from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.samples import log_weights
@@ -82,8 +83,7 @@ class PPO:
             "num_minibatches",
             "width",
         ):
-            if getattr(self, field) < 1:
-                raise ValueError(f"PPO: expected {field} >= 1, got {getattr(self, field)}")
+            whole_number(getattr(self, field), f"PPO: {field}", 1)
         for field in ("explore", "gae_lambda"):
             if not 0.0 <= getattr(self, field) <= 1.0:
                 raise ValueError(f"PPO: expected {field} in [0, 1], got {getattr(self, field)}")

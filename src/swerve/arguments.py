@@ -1,0 +1,36 @@
+"""Checks of single arguments at public entries."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+
+def whole_number(value: Any, name: str, least: int) -> int:
+    """Return a value as an int.
+
+    Raises:
+      ValueError: if it is no whole number (2.0 and True are none), or less than `least`.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or isinstance(value, bool):
+        raise ValueError(f"{name}: expected a whole number >= {least}, got {value!r}")
+    if number < least:
+        raise ValueError(f"{name}: expected a whole number >= {least}, got {number}")
+    return number
+
+
+def instance(value: Any, kind: type, name: str, remedy: str) -> None:
+    """Raise ValueError where a value is not of a kind.
+
+    Args:
+      value: the argument.
+      kind: the class that it must be of.
+      name: of the argument.
+      remedy: what to do instead.
+    """
+    if not isinstance(value, kind):
+        raise ValueError(f"{name}: expected a swerve.{kind.__name__}, got {value!r}: {remedy}")
