@@ -1,10 +1,17 @@
 """What all tests share."""
 
+from __future__ import annotations
+
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from command import CONSTRAINT, ROBOT, Run
 from hypothesis import settings
+
+from swerve import cli
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -21,3 +28,60 @@ def shared_data() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return SHARED_DATA
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> str:
+    """A user's problem in a file of its own, with a neighbour that it imports."""
+    (tmp_path / "robot.py").write_text(ROBOT)
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
+    sys.modules.pop("neighbour", None)
+    return f"{tmp_path / 'robot.py'}:problem"
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command in this process; return status, standard output and standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        sys.modules.pop("neighbour", None)  # a new process would import it anew
+        monkeypatch.setattr(sys, "argv", ["swerve", *map(str, arguments)])
+        monkeypatch.setattr(os, "_exit", sys.exit)  # which would end the tests
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as stop:
+            status = stop.code if isinstance(stop.code, int) else 1
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Demonstrations of a constraint, made by the command itself."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "robot.py").write_text(ROBOT)
+    (folder / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
+    sys.modules.pop("neighbour", None)
+    cli.demonstrate(f"{folder}/robot.py:problem", constraint=CONSTRAINT, num=4, out=folder / "out")
+    return sorted((folder / "out").glob("demo_*.csv"))
+
+
+@pytest.fixture
+def nobody(tmp_path: Path, demonstrations: list[Path]) -> Iterator[None]:
+    """Run as a user who may read everything in the temporary folder and write nothing."""
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    for folder in (demonstrations[0].parent, *demonstrations[0].parents, tmp_path):
+        if folder.stat().st_uid == os.geteuid() and folder.is_relative_to(tmp_path.parents[1]):
+            folder.chmod(0o755)
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)

@@ -1,0 +1,355 @@
+"""Work folders: what is kept, what is noticed, what is refused."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import subprocess
+import sys
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from command import ROBOT, SOLVER, SPACE, Run, infer
+
+from swerve import sampling, store
+from swerve.demonstrations import read_demonstrations
+from swerve.evidence import Evidence
+from swerve.settings import Settings
+from swerve.space import Task
+from swerve.work import Work
+
+
+def test_second_call_needs_neither_jax_nor_user_code(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    arguments = infer(robot, demonstrations, tmp_path / "work", "--json")
+    status, first, _ = run(*arguments, "--solver", SOLVER)
+    assert status == 0
+    code = (
+        "import sys\n"
+        "for name in ('jax', 'equinox', 'neighbour', 'polars', 'rich.progress', 'matplotlib',\n"
+        "             'numpy.ma'):\n"
+        "    sys.modules[name] = None\n"  # importing it would raise
+        f"sys.argv = {['swerve', *map(str, arguments)]!r}\n"
+        "from swerve.cli import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert json.loads(done.stdout) == json.loads(first)
+
+
+@pytest.mark.parametrize("changed", ["robot.py", "neighbour.py"])
+def test_a_changed_source_is_noticed(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path, changed: str
+) -> None:
+    arguments = infer(robot, demonstrations, tmp_path / "work", "--json")
+    _, first, _ = run(*arguments, "--solver", SOLVER)
+    source = tmp_path / changed
+    source.write_text(source.read_text().replace("3.0", "2.0").replace("0.05", "0.2"))
+    status, second, said = run(*arguments, "--solver", SOLVER)
+    assert status == 0
+    assert f"{changed} has changed" in said
+    assert "working it out anew" in said
+    partitions = [
+        [task["log_partition"] for task in json.loads(text)["diagnostics"]]
+        for text in (first, second)
+    ]
+    assert partitions[0] != partitions[1]
+    status, third, said = run(*arguments)
+    assert "has changed" not in said
+    assert json.loads(third) == json.loads(second)
+
+
+def test_learning_notices_a_changed_source(robot: str, run: Run, tmp_path: Path) -> None:
+    arguments = ("learn", robot, "--work", tmp_path / "work", "--solver", SOLVER)
+    assert run(*arguments)[0] == 0
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 2.0\n")
+    status, _, said = run(*arguments)
+    assert status == 0
+    assert "neighbour.py has changed" in said
+    assert "max_torque=2" in said
+
+
+def test_a_folder_with_files_of_others_is_left_alone(robot: str, run: Run, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "model.checkpoint").write_text("weeks of work")
+    status, _, said = run("learn", robot, "--work", work, "--solver", SOLVER)
+    assert status == 1
+    assert "holds model.checkpoint but no problem.json" in said
+    assert (work / "model.checkpoint").read_text() == "weeks of work"
+
+
+def test_new_tasks_are_added_to_what_is_there(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    run(*infer(robot, demonstrations[:2], work, "--solver", SOLVER))
+    _, out, _ = run(*infer(robot, demonstrations, work, "--json"))
+    together = {tuple(d["start"]): d["log_partition"] for d in json.loads(out)["diagnostics"]}
+    _, out, _ = run(*infer(robot, demonstrations, tmp_path / "other", "--solver", SOLVER, "--json"))
+    anew = {tuple(d["start"]): d["log_partition"] for d in json.loads(out)["diagnostics"]}
+    assert together == pytest.approx(anew, abs=1e-4)
+
+
+def test_other_settings_are_kept_beside_the_first_and_used_until_others_are_asked_for(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+
+    def ask(*more: object) -> tuple[int, str]:
+        status, out, said = run("infer", robot, demonstrations[0], "--work", work, "--json", *more)
+        assert status == 0, said
+        [diagnostics] = json.loads(out)["diagnostics"]
+        return diagnostics["num_trajectories"], diagnostics["method"]
+
+    assert ask("--solver", SOLVER, "--samples", 500, "--seed", 3) == (500, "importance")
+    assert ask("--samples", 700, "--method", "plain") == (700, "plain")
+    assert ask() == (700, "plain")
+    assert ask("--samples", 500) == (500, "plain")
+    assert ask("--method", "importance") == (500, "importance")
+    assert ask("--samples", 700) == (700, "plain")
+    assert {unquote(path.name) for path in work.glob("*.evidence")} == {
+        f"{SOLVER}.seed3.importance.500.evidence",
+        f"{SOLVER}.seed3.plain.500.evidence",
+        f"{SOLVER}.seed3.plain.700.evidence",
+    }
+    assert len(list(work.glob("*.nominal"))) == 1
+
+
+def test_the_seed_of_learning_is_remembered(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    run("learn", robot, "--work", work, "--solver", SOLVER, "--seed", 3)
+    run(*infer(robot, demonstrations[:1], work))
+    results = {path.name for path in work.iterdir()} - {"problem.json", ".lock"}
+    assert len(results) == 2
+    assert all(".seed3." in name for name in results)
+    run(*infer(robot, demonstrations[:1], work, "--seed", 4))
+    assert len(list(work.glob("*.nominal"))) == 2
+
+
+def test_what_is_finished_is_kept_when_sampling_is_interrupted(
+    robot: str,
+    run: Run,
+    demonstrations: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    work, whole = tmp_path / "work", sampling.sample_each
+
+    def interrupted(*arguments, **settings):
+        yield from itertools.islice(whole(*arguments, **settings), 2)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("swerve.sampling.sample_each", interrupted)
+    arguments = infer(robot, demonstrations, work, "--solver", SOLVER, "--json")
+    status, _, said = run(*arguments)
+    assert status == 130
+    assert "the same command goes on" in said
+    [path] = work.glob("*.evidence")
+    assert Evidence.load(path).num_tasks == 2
+    asked = []
+
+    def counting(nominal, tasks, *arguments, **settings):
+        asked.append(len(tasks.start))
+        return whole(nominal, tasks, *arguments, **settings)
+
+    monkeypatch.setattr("swerve.sampling.sample_each", counting)
+    assert run(*arguments)[0] == 0
+    assert asked == [2]
+    assert Evidence.load(path).num_tasks == 4
+
+
+def test_a_change_that_no_source_shows_is_noticed_when_the_problem_is_loaded(
+    run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """The problem reads a data file, whose hash is not recorded."""
+    text = ROBOT.replace("neighbour.MAX_TORQUE", "float(pathlib.Path(DATA).read_text())")
+    text = text.replace(
+        "import neighbour", f"import pathlib\nDATA = {str(tmp_path / 'data.txt')!r}"
+    )
+    (tmp_path / "reads.py").write_text(text)
+    (tmp_path / "data.txt").write_text("3.0")
+    robot, work = f"{tmp_path / 'reads.py'}:problem", tmp_path / "work"
+    run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+    (tmp_path / "data.txt").write_text("2.0")
+    status, out, said = run(*infer(robot, demonstrations[:2], work))
+    assert status == 0
+    assert "is out of date (the problem has changed)" in said
+    assert "max_torque=2" in out
+    [path] = work.glob("*.evidence")
+    assert Evidence.load(path).num_tasks == 2
+
+
+def test_a_predicate_is_not_judged_by_old_evidence(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "fast.py").write_text(
+        ROBOT.replace(
+            "neighbour.MAX_TORQUE", f"float(pathlib.Path({str(tmp_path)!r}, 'd').read_text())"
+        )
+        .replace("import neighbour", "import pathlib\nimport swerve")
+        .replace("mdp, cells", "mdp, [swerve.Predicate('fast', lambda s: s[..., 1] > 1.0)]")
+    )
+    (tmp_path / "d").write_text("3.0")
+    arguments = ("infer", f"{tmp_path / 'fast.py'}:problem", "--work", tmp_path / "work", "--json")
+    _, first, _ = run(*arguments, "--solver", SOLVER, "--samples", 300)
+    (tmp_path / "d").write_text("1.0")
+    status, second, said = run(*arguments)
+    assert status == 0
+    assert "is out of date" in said
+    assert json.loads(second)["ranking"] != json.loads(first)["ranking"]
+
+
+def test_a_solver_that_is_refused_is_not_remembered(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    arguments = ("infer", robot, demonstrations[0], "--work", work)
+    assert run(*arguments, "--solver", SOLVER, "--samples", 300)[0] == 0
+    status, _, said = run(*arguments, "--solver", "grid?num_points=3")
+    assert status == 1
+    assert "expected at least 4 nodes" in said
+    status, _, said = run(*arguments)
+    assert status == 0
+    assert "learning" not in said
+
+
+def test_two_processes_add_to_one_folder(
+    robot: str, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """Each has read the folder before the other has written what it found."""
+    settings = Settings(SOLVER, num_trajectories=300)
+    tasks = [read_demonstrations([path], SPACE)[0].task for path in demonstrations[:3]]
+    Work(robot, tmp_path / "work", settings).evidence(Task.stack(tasks[:1]))
+    works = [Work(robot, tmp_path / "work", settings) for _ in range(2)]
+    empty = Work(robot, tmp_path / "later", settings)
+    known = [work._stored_evidence() for work in works]
+    for work, task, evidence in zip(works, tasks[1:], known, strict=True):
+        work._sample(Task.stack([task]), evidence)
+    found = Work(robot, tmp_path / "work", settings).evidence(None)
+    assert found.num_tasks == 3
+    Work(robot, tmp_path / "later", settings).evidence(Task.stack(tasks[:2]))
+    empty._sample(Task.stack(tasks[2:]), None)
+    assert Work(robot, tmp_path / "later", settings).evidence(None).num_tasks == 3
+
+
+def test_other_weights_need_no_other_samples(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    arguments = infer(robot, demonstrations[:2], work, "--solver", SOLVER, "--json")
+    run(*arguments)
+    status, out, said = run(*arguments, "--method", "plain")
+    assert status == 0
+    assert "sampling" not in said
+    _, anew, _ = run(
+        *infer(robot, demonstrations[:2], tmp_path / "other", "--json"),
+        "--solver",
+        SOLVER,
+        "--method",
+        "plain",
+    )
+    assert json.loads(out)["ranking"] == json.loads(anew)["ranking"]
+
+
+def test_a_module_of_another_folder_is_another_problem(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in ("a", "b"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "mymodel.py").write_text(
+            ROBOT.replace("neighbour.MAX_TORQUE", "3.0").replace("import neighbour", "")
+        )
+    arguments = ("learn", "mymodel:problem", "--work", tmp_path / "work", "--solver", SOLVER)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.chdir(tmp_path / "a")
+    assert run(*arguments)[0] == 0
+    monkeypatch.setattr(sys, "path", [x for x in sys.path if not x.startswith(str(tmp_path))])
+    monkeypatch.delitem(sys.modules, "mymodel")
+    monkeypatch.chdir(tmp_path / "b")
+    status, _, said = run(*arguments)
+    assert status == 1
+    assert f"holds the results of 'mymodel:problem in {tmp_path / 'a'}'" in said
+
+
+def test_settings_of_a_newer_version_are_no_error(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    arguments = infer(robot, demonstrations[:1], work, "--solver", SOLVER)
+    run(*arguments)
+    data = store.read_json(work / "problem.json")
+    data["settings"]["islands"], data["swerve"] = 3, "99.0"
+    store.write_json(work / "problem.json", data)
+    status, _, said = run(*arguments)
+    assert status == 0
+    assert "swerve was 99.0 and is" in said
+
+
+def test_evidence_of_another_version_of_the_problem_is_refused(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """As a process leaves it that was under way when a source changed."""
+    works = tmp_path / "old", tmp_path / "new"
+    run(*infer(robot, demonstrations[:1], works[0], "--solver", SOLVER))
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 2.0\n")
+    run(*infer(robot, demonstrations[:1], works[1], "--solver", SOLVER))
+    [old], [new] = (list(work.glob("*.evidence")) for work in works)
+    new.write_bytes(old.read_bytes())
+    status, _, said = run(*infer(robot, demonstrations[:1], works[1]))
+    assert status == 1
+    assert f"{new}: holds evidence of another version of the problem" in said
+
+
+def test_old_results_are_there_until_new_ones_are_worked_out(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+    before = {path: path.read_bytes() for path in work.iterdir()}
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 2.0\n")
+    (tmp_path / "x.csv").write_text("theta\n1\n2\n")
+    assert run("infer", robot, tmp_path / "x.csv", "--work", work)[0] == 1
+    assert run(*infer(robot, demonstrations[:1], work, "--solver", "magic"))[0] == 1
+    assert {path: path.read_bytes() for path in work.iterdir()} == before
+
+
+class TestBadInput:
+    def test_work_folder_of_another_problem(
+        self, robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+    ) -> None:
+        work = tmp_path / "work"
+        run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+        before = {path: path.read_bytes() for path in work.iterdir()}
+        status, _, said = run(*infer(f"{robot}?beta=2", demonstrations[:1], work))
+        assert status == 1
+        assert "holds the results of" in said
+        assert "another --work folder" in said
+        assert {path: path.read_bytes() for path in work.iterdir()} == before
+
+    def test_truncated_evidence(
+        self, robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+    ) -> None:
+        work = tmp_path / "work"
+        arguments = infer(robot, demonstrations[:1], work, "--solver", SOLVER)
+        run(*arguments)
+        [path] = work.glob("*.evidence")
+        path.write_bytes(path.read_bytes()[:-100])
+        before = path.read_bytes()
+        status, _, said = run(*arguments)
+        assert status == 1
+        assert f"{path}: cut short or altered" in said
+        assert path.read_bytes() == before
+
+    def test_read_only_folder_is_refused_before_the_work(
+        self, robot: str, run: Run, demonstrations: list[Path], tmp_path: Path, nobody: None
+    ) -> None:
+        work = tmp_path / "locked" / "work"
+        status, _, said = run(*infer(robot, demonstrations[:1], work, "--solver", SOLVER))
+        assert status == 1
+        assert "cannot write in" in said
+        assert "choose a folder that you can write" in said
+        assert "sampling" not in said
