@@ -14,6 +14,7 @@ import numpy as np
 from swerve import MDP, Pendulum, Problem, Task, grid
 from swerve.constraints import violates
 from swerve.hypotheses import unpack
+from swerve.space import Actions
 
 
 class Exact(NamedTuple):
@@ -46,6 +47,8 @@ def enumerate_exactly(problem: Problem, start: np.ndarray, goal: np.ndarray) -> 
         states.append(np.where(active[:, None], following, states[-1]))
         active &= ~ended
     path = np.stack(states, axis=1)
+    after_end = np.arange(mdp.num_steps) >= length[:, None]
+    taken = Actions(mdp.action_names, np.where(after_end[..., None], np.nan, actions))
 
     log_weight = problem.beta * total
     if problem.measure == "uniform":
@@ -53,11 +56,13 @@ def enumerate_exactly(problem: Problem, start: np.ndarray, goal: np.ndarray) -> 
     # a sequence that ended early stands here once for every way to go on
     log_weight = log_weight - (mdp.num_steps - length) * math.log(mdp.num_actions)
     for constraint in problem.known:
-        entered = violates(constraint, path.astype(np.float64), mdp.space, problem.between_states)
+        entered = violates(
+            constraint, path.astype(np.float64), mdp.space, problem.between_states, taken
+        )
         log_weight = np.where(entered, -np.inf, log_weight)
     largest = log_weight.max()
     weight = np.exp(log_weight - largest)
-    bits = problem.hypotheses.violations(path, mdp.space, problem.between_states)
+    bits = problem.hypotheses.violations(path, mdp.space, problem.between_states, taken)
     entered = unpack(bits, len(problem.hypotheses))
     return Exact(float(largest + np.log(weight.sum())), weight @ entered / weight.sum())
 

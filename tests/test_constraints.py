@@ -15,16 +15,16 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from swerve.boxes import ActionBox, Box
 from swerve.constraints import (
-    Box,
     Constraint,
     Predicate,
+    Union,
     check_constraints,
-    constraint_from_json,
     violates,
 )
-from swerve.hypotheses import ConstraintHypotheses, grid
-from swerve.space import TWO_PI, StateSpace
+from swerve.hypotheses import ConstraintHypotheses, constraint_from_json, grid
+from swerve.space import TWO_PI, Actions, StateSpace
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
@@ -267,15 +267,15 @@ class TestBox:
 
     def test_check_refuses_unknown_names(self) -> None:
         with pytest.raises(ValueError, match="no state named 'z'; the states are x, y"):
-            Box(z=(0, 1)).check(PLANE)
+            Box(z=(0, 1)).check(PLANE, ())
 
     def test_check_refuses_more_than_a_turn(self) -> None:
-        Box(theta=(1.0, 1.0 + TWO_PI), omega=(0.0, 100.0)).check(PENDULUM)
+        Box(theta=(1.0, 1.0 + TWO_PI), omega=(0.0, 100.0)).check(PENDULUM, ())
         message = r"Box: 'theta' is an angle, .* 2 pi at most, .* a width of 6\.5 rad"
         with pytest.raises(ValueError, match=message):
-            Box(theta=(0.0, 6.5)).check(PENDULUM)
+            Box(theta=(0.0, 6.5)).check(PENDULUM, ())
         with pytest.raises(ValueError, match="a width of inf rad"):
-            Box(theta=(0.0, math.inf)).check(PENDULUM)
+            Box(theta=(0.0, math.inf)).check(PENDULUM, ())
 
 
 def in_disc(states: Any) -> Any:
@@ -393,14 +393,14 @@ class TestViolates:
 class TestCheckConstraints:
     def test_returns_a_tuple(self) -> None:
         boxes = [Box(x=(0, 1)), Predicate("disc", in_disc)]
-        assert check_constraints(iter(boxes), PLANE, "known") == tuple(boxes)
+        assert check_constraints(iter(boxes), PLANE, (), "known") == tuple(boxes)
 
     def test_names_the_argument_and_the_position(self) -> None:
         wrong: Any = [Box(x=(0, 1)), (0.0, 1.0)]
         with pytest.raises(ValueError, match=r"known\[1\]: expected a Constraint, got \(0.0, 1.0"):
-            check_constraints(wrong, PLANE, "known")
+            check_constraints(wrong, PLANE, (), "known")
         with pytest.raises(ValueError, match="no state named 'z'"):
-            check_constraints([Box(z=(0, 1))], PLANE, "known")
+            check_constraints([Box(z=(0, 1))], PLANE, (), "known")
 
 
 class TestJson:
@@ -426,3 +426,74 @@ class TestJson:
         kinds.append(Predicate("x", in_disc, 9))
         for a, b in itertools.combinations(kinds, 2):
             assert a.to_json() != b.to_json()
+
+
+class TestActionBox:
+    def test_forbids_actions_and_no_states(self) -> None:
+        box = ActionBox(fx=(0.5, 2.0), fy=(-math.inf, 0.0))
+        values = np.array([[1.0, -1.0], [1.0, 0.0], [0.4, -1.0], [2.0, -1.0], [np.nan, -1.0]])
+        expected = [True, False, False, False, False]
+        np.testing.assert_array_equal(box.forbids(Actions(("fx", "fy"), values)), expected)
+        swapped = Actions(("fy", "fx"), values[:, ::-1])
+        np.testing.assert_array_equal(box.forbids(swapped), expected)
+        assert not box.contains(np.zeros((3, 2)), PLANE).any()
+        assert not box.crosses(np.zeros((3, 2)), np.ones((3, 2)), PLANE).any()
+        assert not Box(x=(0, 1)).forbids(Actions(("fx",), np.zeros((3, 1)))).any()
+
+    def test_a_trajectory_violates_it_by_any_action(self) -> None:
+        states = np.zeros((2, 4, 2))
+        values = np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [np.nan]]])
+        for between in (True, False):
+            hit = violates(ActionBox(f=(0.5, 2.0)), states, PLANE, between, Actions(("f",), values))
+            np.testing.assert_array_equal(hit, [True, False])
+
+    def test_works_under_jax(self) -> None:
+        box, values = ActionBox(f=(0.5, 2.0)), jnp.array([[1.0], [0.0]])
+        found = jax.jit(lambda values: box.forbids(Actions(("f",), values)))(values)
+        np.testing.assert_array_equal(found, [True, False])
+
+    def test_names(self) -> None:
+        box = ActionBox(force=(0.5, 2.0))
+        assert box.name == "action force [0.5, 2)"
+        assert repr(box) == "ActionBox(force=(0.5, 2.0))"
+        box.check(PLANE, ("force", "spin"))
+        with pytest.raises(ValueError, match="no action component 'force'; there are spin, f"):
+            box.check(PLANE, ("spin", "f"))
+        with pytest.raises(ValueError, match="ActionBox: expected low < high for 'f'"):
+            ActionBox(f=(1.0, 1.0))
+
+
+class TestUnion:
+    def test_is_what_one_of_its_parts_forbids(self) -> None:
+        generator = np.random.default_rng(0)
+        states = generator.uniform(-2.0, 2.0, (300, 3, 2))
+        actions = Actions(("f",), generator.uniform(-1.0, 1.0, (300, 2, 1)))
+        parts = [Box(x=(0.0, 0.2)), Box(y=(1.0, 1.2)), ActionBox(f=(0.8, 2.0))]
+        both = Union("both", [parts[0], Union("inner", parts[1:])])
+        for between in (True, False):
+            each = [violates(part, states, PLANE, between, actions) for part in parts]
+            found = violates(both, states, PLANE, between, actions)
+            np.testing.assert_array_equal(found, np.any(each, axis=0))
+            assert 0.1 < found.mean() < 0.95
+        assert both.parts == tuple(parts)
+        assert both.about_actions
+        assert not Union("states", parts[:2]).about_actions
+
+    def test_needs_code_where_a_part_does(self) -> None:
+        assert Union("a", [Predicate("disc", in_disc)]).needs_code
+        assert not Union("a", [Box(x=(0, 1))]).needs_code
+
+    @pytest.mark.parametrize("parts", [[], [(0.0, 1.0)]])
+    def test_what_are_no_parts(self, parts: list) -> None:
+        with pytest.raises(ValueError, match="Union 'a': expected constraints, got"):
+            Union("a", parts)
+
+    def test_its_parts_are_checked(self) -> None:
+        with pytest.raises(ValueError, match="no state named 'z'"):
+            Union("a", [Box(z=(0, 1))]).check(PLANE, ())
+
+    def test_round_trips(self) -> None:
+        union = Union("a", [Box(x=(0, math.inf)), ActionBox(f=(0.0, 1.0))])
+        back = constraint_from_json(json.loads(json.dumps(union.to_json(), allow_nan=False)))
+        assert repr(back) == repr(union)
+        assert back.name == "a"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from synthetic import SPACE, TASKS, evidence_of_columns, make_evidence, make_record, make_samples
 
 from swerve import estimators
-from swerve.constraints import Box
+from swerve.boxes import Box
 from swerve.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence
 from swerve.hypotheses import ConstraintHypotheses, grid, unpack
 from swerve.samples import summarise

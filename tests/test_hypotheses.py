@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swerve.constraints import Box, Predicate, violates
+from swerve.boxes import Box
+from swerve.constraints import Predicate, violates
 from swerve.hypotheses import (
     ConstraintHypotheses,
     GridHypotheses,
@@ -384,9 +385,9 @@ class TestLists:
     def test_check_names_the_hypothesis(self) -> None:
         wrong: Any = [Box(theta=(0, 1)), "wall"]
         with pytest.raises(ValueError, match=r"hypotheses\[1\]: expected a Constraint, got 'wall'"):
-            ConstraintHypotheses(wrong).check(PENDULUM)
+            ConstraintHypotheses(wrong).check(PENDULUM, ())
         with pytest.raises(ValueError, match="no state named 'x'; the states are theta, omega"):
-            ConstraintHypotheses([Box(x=(0, 1))]).check(PENDULUM)
+            ConstraintHypotheses([Box(x=(0, 1))]).check(PENDULUM, ())
 
 
 class TestPacking:
@@ -450,11 +451,11 @@ class TestGrid:
             grid(x=axis)
 
     def test_check(self) -> None:
-        grid(theta=(1.0, 1.0 + TWO_PI, 4), omega=(0.0, 99.0, 2)).check(PENDULUM)
+        grid(theta=(1.0, 1.0 + TWO_PI, 4), omega=(0.0, 99.0, 2)).check(PENDULUM, ())
         with pytest.raises(ValueError, match="no state named 'x'; the states are theta, omega"):
-            grid(x=(0.0, 1.0, 2)).check(PENDULUM)
+            grid(x=(0.0, 1.0, 2)).check(PENDULUM, ())
         with pytest.raises(ValueError, match=r"'theta' is an angle, .* a width of 7 rad"):
-            grid(theta=(0.0, 7.0, 4)).check(PENDULUM)
+            grid(theta=(0.0, 7.0, 4)).check(PENDULUM, ())
 
 
 class TestJson:

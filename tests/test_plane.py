@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from synthetic import SPACE, make_record
 
-from swerve.constraints import Box, Predicate, constraint_from_json
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, grid
+from swerve.boxes import Box
+from swerve.constraints import Predicate
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json, grid
 from swerve.plane import Path, Plane, plane_of, runs
 from swerve.space import TWO_PI, StateSpace
 

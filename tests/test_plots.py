@@ -26,9 +26,10 @@ from synthetic import (
 )
 
 from swerve import plots
-from swerve.constraints import Box, Predicate, constraint_from_json
+from swerve.boxes import Box
+from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, grid
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json, grid
 from swerve.inference import Inference, infer
 from swerve.plots import plot_inference, plot_ranking
 from swerve.space import TWO_PI, Task

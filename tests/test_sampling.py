@@ -7,9 +7,23 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
+from reference import CART_TASK, PENDULUM_TASK, Cart, enumerate_exactly, short_cart, short_pendulum
 
-from swerve import Box, Grid, Pendulum, Problem, Task, grid, hoeffding_error, learn, sample
+from swerve import (
+    ActionBox,
+    Box,
+    Demonstration,
+    Grid,
+    Pendulum,
+    Problem,
+    Task,
+    Union,
+    grid,
+    hoeffding_error,
+    infer,
+    learn,
+    sample,
+)
 from swerve.hypotheses import unpack
 from swerve.nominal import Nominal
 
@@ -173,3 +187,35 @@ def test_tasks_outside_the_bounds_are_refused(nominal: Nominal) -> None:
     far = Task(np.array([1.0, 99.0]), PENDULUM_TASK.goal)
     with pytest.raises(ValueError, match="task 1: start omega = 99 is outside the bounds"):
         sample(nominal, [PENDULUM_TASK, far], 100)
+
+
+@pytest.mark.parametrize("known", [(), (ActionBox(force=(0.5, 2.0)),)])
+def test_actions_are_judged_and_known_ones_left_out(known: tuple) -> None:
+    """Against enumeration, with episodes that end early: what follows the end is no action."""
+    hypotheses = [
+        ActionBox(force=(-2.0, -0.5)),
+        ActionBox(force=(-0.5, 0.5)),
+        Union("left or pushed", [Box(x=(-2.0, -0.9)), ActionBox(force=(0.5, 2.0))]),
+    ]
+    problem = Problem(Cart(num_steps=3), hypotheses, beta=0.3, known=known)
+    exact = enumerate_exactly(problem, CART_TASK.start, CART_TASK.goal)
+    evidence = sample(learn(problem, Grid()), CART_TASK, 20_000)
+    assert (exact.violation_probability < 0.95).all()
+    assert np.count_nonzero(exact.violation_probability > 0.1) >= 2
+    error = np.sqrt(evidence.summary.avoid_variance[0]) + 1.0 / 20_000
+    difference = evidence.violation_probability[0] - exact.violation_probability
+    assert np.abs(difference / error).max() < 4.5
+    assert evidence.log_partition[0] == pytest.approx(exact.log_partition, abs=0.02)
+
+
+def test_demonstrations_are_judged_by_their_actions() -> None:
+    hypotheses = [ActionBox(force=(-2.0, -0.5)), ActionBox(force=(0.5, 2.0))]
+    evidence = sample(learn(Problem(Cart(), hypotheses), Grid(num_points=41)), CART_TASK, 200)
+    states = np.array([[0.6, 0.3], [0.5, -0.2], [0.4, -0.2]])
+    pushed = Demonstration("a", states, CART_TASK, actions=np.array([[-1.0], [0.0]]))
+    np.testing.assert_array_equal(infer(evidence, [pushed]).entered, [[True, False]])
+    last = Demonstration("a", states, CART_TASK, actions=np.array([[-1.0], [0.0], [1.0]]))
+    np.testing.assert_array_equal(infer(evidence, [last]).entered, [[True, False]])
+    for actions in (None, np.zeros((2, 2))):
+        with pytest.raises(ValueError, match="demo: the problem has constraints on actions, so"):
+            infer(evidence, [Demonstration("demo", states, CART_TASK, actions=actions)])

@@ -5,7 +5,8 @@ import pytest
 from synthetic import evidence_of_columns, make_demonstration, make_evidence, make_record
 
 from swerve import wording
-from swerve.constraints import Box, Predicate
+from swerve.boxes import Box
+from swerve.constraints import Predicate
 from swerve.hypotheses import ConstraintHypotheses, grid
 from swerve.inference import Inference, infer
 

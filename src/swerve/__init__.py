@@ -9,7 +9,8 @@ stored evidence never imports JAX.
 TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 
 if TYPE_CHECKING:
-    from swerve.constraints import Box, Constraint, Predicate
+    from swerve.boxes import ActionBox, Box
+    from swerve.constraints import Constraint, Predicate, Union
     from swerve.demonstrations import (
         Demonstration,
         read_demonstrations,
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Box": "constraints",
+    "ActionBox": "boxes",
+    "Box": "boxes",
     "Constraint": "constraints",
     "Demonstration": "demonstrations",
     "Evidence": "evidence",
@@ -49,6 +51,7 @@ _HOMES = {
     "Problem": "problem",
     "StateSpace": "space",
     "Task": "space",
+    "Union": "constraints",
     "demonstrate": "demonstrators.boltzmann",
     "grid": "hypotheses",
     "hoeffding_error": "estimators",
@@ -68,6 +71,7 @@ _HOMES = {
 __all__ = [
     "MDP",
     "PPO",
+    "ActionBox",
     "Box",
     "Constraint",
     "Demonstration",
@@ -81,6 +85,7 @@ __all__ = [
     "Problem",
     "StateSpace",
     "Task",
+    "Union",
     "demonstrate",
     "grid",
     "hoeffding_error",

@@ -1,30 +1,41 @@
-"""Regions of state space that a trajectory may be forbidden to enter.
+"""Regions of state space that a trajectory may be forbidden to enter, and actions not to take.
 
-A constraint c is a set of states. A trajectory violates it when one of its states lies in c, or,
-unless states alone are judged, when the straight segment between two consecutive states crosses
-c (along the shorter arc for angles). Both tests work alike on NumPy and JAX arrays: the same code
-judges demonstrations and masks the actions of a policy.
+A constraint c is a set of states, of actions, or of both. A trajectory violates it when one of its
+states lies in c, or, unless states alone are judged, when the straight segment between two
+consecutive states crosses c (along the shorter arc for angles); and when one of its actions lies in
+c. All tests work alike on NumPy and JAX arrays: the same code judges demonstrations and masks the
+actions of a policy.
 
-Shapes: n state dimensions, ... any batch dimensions.
+Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 """
 
 from __future__ import annotations
 
-import itertools
-import keyword
-import math
+import functools
+import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from swerve.arguments import whole_number
-from swerve.space import TWO_PI, StateSpace
+from swerve.space import Actions, StateSpace
 
 
 class Constraint(ABC):
-    """A forbidden set of states."""
+    """A forbidden set of states and actions."""
+
+    about_actions = False
+    """Whether it forbids actions, so that judging it needs them."""
+
+    needs_code = False
+    """Whether judging it needs functions that no file can hold."""
+
+    @property
+    def parts(self) -> tuple[Constraint, ...]:
+        """The constraints that it consists of: itself, unless it is a union."""
+        return (self,)
 
     @property
     @abstractmethod
@@ -43,97 +54,70 @@ class Constraint(ABC):
     def to_json(self) -> dict[str, Any]:
         """Return JSON data from which `constraint_from_json` rebuilds it."""
 
-    def check(self, space: StateSpace) -> None:
-        """Raise ValueError where the constraint does not fit the state space."""
+    def forbids(self, actions: Actions) -> Any:
+        """Return [...] True where an action lies in the set; nowhere unless overridden."""
+        return nowhere(actions.values)
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where the constraint does not fit the states or the actions."""
 
 
-class Box(Constraint):
-    """The states whose named components lie in half-open intervals [low, high).
-
-    Components that are not named are free. The interval of an angle may lie anywhere and may wrap:
-    `Box(theta=(3.0, 3.5))` and `Box(theta=(3.0 - 2 * pi, 3.5 - 2 * pi))` are the same set.
+class Union(Constraint):
+    """What at least one of several constraints forbids.
 
     Args:
-      **intervals: for each named state (low, high), in that state's unit; +-inf leaves a side open.
+      name: what tables call it.
+      constraints: its parts.
 
     Raises:
-      ValueError: if there is no interval, or one is empty or not a pair of numbers.
+      ValueError: if there is none, or one is no constraint.
     """
 
-    def __init__(self, **intervals: tuple[float, float]) -> None:
-        if not intervals:
-            raise ValueError("Box: expected at least one interval, as in Box(x=(0.0, 1.0))")
-        self.intervals: dict[str, tuple[float, float]] = {}
-        for name, interval in intervals.items():
-            if np.shape(interval) != (2,):
-                raise ValueError(f"Box: expected {name}=(low, high), got {interval!r}")
-            low, high = (float(value) for value in interval)
-            if not low < high:
-                raise ValueError(f"Box: expected low < high for {name!r}, got ({low}, {high})")
-            self.intervals[name] = (low, high)
+    def __init__(self, name: str, constraints: Sequence[Constraint]) -> None:
+        self._name = name
+        self._constraints = tuple(constraints)
+        if not self._constraints or not all(
+            isinstance(part, Constraint) for part in self._constraints
+        ):
+            raise ValueError(f"Union {name!r}: expected constraints, got {constraints!r}")
+        self.about_actions = any(part.about_actions for part in self._constraints)
+        self.needs_code = any(part.needs_code for part in self._constraints)
 
     def __repr__(self) -> str:
-        """Return Python that makes this box again, to the last digit."""
-        sides = {
-            name: f"({', '.join(_literal(value) for value in interval)})"
-            for name, interval in self.intervals.items()
-        }
-        if all(name.isidentifier() and not keyword.iskeyword(name) for name in sides):
-            return f"Box({', '.join(f'{name}={side}' for name, side in sides.items())})"
-        return f"Box(**{{{', '.join(f'{name!r}: {side}' for name, side in sides.items())}}})"
+        """Return Python that makes this union again."""
+        return f"Union({self._name!r}, {list(self._constraints)!r})"
 
     @property
     def name(self) -> str:
-        """For example 'theta [3.14, 3.77), omega [0, 1.2)'."""
-        return ", ".join(
-            interval_name(name, low, high) for name, (low, high) in self.intervals.items()
-        )
+        """The name it was given."""
+        return self._name
 
-    def check(self, space: StateSpace) -> None:
-        """Raise ValueError where a name is unknown or an angle interval exceeds a full turn."""
-        for name, (low, high) in self.intervals.items():
-            space.column(name)
-            if name in space.angles and not high - low <= TWO_PI * (1 + 1e-12):
-                raise ValueError(
-                    f"Box: {name!r} is an angle, so its interval may span 2 pi at most, "
-                    f"got ({low}, {high}), a width of {high - low:.6g} rad"
-                )
+    @property
+    def parts(self) -> tuple[Constraint, ...]:
+        """The constraints that are no unions, of all its unions."""
+        return tuple(part for constraint in self._constraints for part in constraint.parts)
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a part does not fit."""
+        for part in self._constraints:
+            part.check(space, action_names)
 
     def contains(self, states: Any, space: StateSpace) -> Any:
-        """Return [...] True where a state [..., n] lies in the box."""
-        inside = True
-        for name, (low, high) in self.intervals.items():
-            value = states[..., space.column(name)]
-            if name in space.angles:
-                # twice, since a tiny negative number modulo 2 pi is rounded to 2 pi itself
-                inside = inside & ((value - low) % TWO_PI % TWO_PI < high - low)
-            else:
-                inside = inside & (low <= value) & (value < high)
-        return inside
+        """Return [...] True where a state lies in one of the parts."""
+        return _any(part.contains(states, space) for part in self._constraints)
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where the segment meets the box (the slab test, images of angles)."""
-        xp = starts.__array_namespace__()
-        steps = space.difference(starts, ends)
-        hit = self.contains(starts, space) | self.contains(ends, space)
-        slabs = [
-            _slabs(starts[..., column], steps[..., column], low, high, name in space.angles)
-            for name, (low, high) in self.intervals.items()
-            for column in [space.column(name)]
-        ]
-        for combination in itertools.product(*slabs):
-            enter = xp.stack([enter for enter, _ in combination]).max(axis=0)
-            leave = xp.stack([leave for _, leave in combination]).min(axis=0)
-            hit = hit | (xp.minimum(leave, 1.0) > xp.maximum(enter, 0.0))
-        return hit
+        """Return [...] True where the segment meets one of the parts."""
+        return _any(part.crosses(starts, ends, space) for part in self._constraints)
+
+    def forbids(self, actions: Actions) -> Any:
+        """Return [...] True where an action lies in one of the parts."""
+        return _any(part.forbids(actions) for part in self._constraints)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
-        intervals = {
-            name: [value if math.isfinite(value) else None for value in interval]
-            for name, interval in self.intervals.items()
-        }
-        return {"kind": "box", "intervals": intervals}
+        parts = [part.to_json() for part in self._constraints]
+        return {"kind": "union", "name": self._name, "constraints": parts}
 
 
 class Predicate(Constraint):
@@ -145,6 +129,8 @@ class Predicate(Constraint):
         `states.__array_namespace__()` or `jax.numpy`, so that it also works while JAX traces it.
       num_points: how many evenly spaced points of a segment between two states are tried.
     """
+
+    needs_code = True
 
     def __init__(self, name: str, function: Callable[[Any], Any], num_points: int = 8) -> None:
         self._name = name
@@ -188,32 +174,19 @@ class Predicate(Constraint):
         return {"kind": "predicate", "name": self.name, "num_points": self.num_points}
 
 
-def constraint_from_json(data: dict[str, Any]) -> Constraint:
-    """Rebuild a constraint from `to_json` data; a predicate comes back without its function."""
-    if data["kind"] == "box":
-        return Box(
-            **{
-                name: (-math.inf if low is None else low, math.inf if high is None else high)
-                for name, (low, high) in data["intervals"].items()
-            }
-        )
-    return Predicate(data["name"], _missing_function(data["name"]), data["num_points"])
+def nowhere(values: Any) -> Any:
+    """Return [...] False for values [..., k]."""
+    return values.__array_namespace__().zeros(values.shape[:-1], bool)
 
 
-def interval_name(name: str, low: float, high: float) -> str:
-    """Return for example 'theta [3.14, 3.77)'."""
-    return f"{name} [{_short(low)}, {_short(high)})"
+def _any(masks: Iterable[Any]) -> Any:
+    """Return where at least one of some masks is True."""
+    return functools.reduce(operator.or_, masks)
 
 
-def _short(value: float) -> str:
-    return f"{value:.3g}" if value != 0 else "0"
+def missing_function(name: str) -> Callable[[Any], Any]:
+    """Return what stands for the function of a predicate that was read from a file."""
 
-
-def _literal(value: float) -> str:
-    return repr(value) if math.isfinite(value) else f"float('{value}')"
-
-
-def _missing_function(name: str) -> Callable[[Any], Any]:
     def function(states: Any) -> Any:
         raise ValueError(
             f"predicate {name!r} was read from a file, which holds its name and not its code: "
@@ -223,29 +196,10 @@ def _missing_function(name: str) -> Callable[[Any], Any]:
     return function
 
 
-def _slabs(start: Any, step: Any, low: float, high: float, is_angle: bool) -> list[tuple[Any, Any]]:
-    """Return, for each image of [low, high), the part (enter, leave) of a segment inside it.
-
-    The segment is start + u * step with 0 <= u <= 1; enter >= leave where it misses the image.
-    """
-    xp = start.__array_namespace__()
-    if is_angle:
-        start, low, high = (start - low) % TWO_PI, 0.0, high - low
-    images = (-TWO_PI, 0.0, TWO_PI) if is_angle else (0.0,)
-    still = step == 0
-    divisor = xp.where(still, 1.0, step)
-    parts = []
-    for shift in images:
-        to_low, to_high = (low + shift - start) / divisor, (high + shift - start) / divisor
-        inside = (low + shift <= start) & (start < high + shift)
-        enter = xp.where(still, xp.where(inside, -math.inf, math.inf), xp.minimum(to_low, to_high))
-        leave = xp.where(still, xp.where(inside, math.inf, -math.inf), xp.maximum(to_low, to_high))
-        parts.append((enter, leave))
-    return parts
-
-
-def check_constraints(constraints: Any, space: StateSpace, where: str) -> tuple[Constraint, ...]:
-    """Return the constraints as a tuple after checking each against the state space.
+def check_constraints(
+    constraints: Any, space: StateSpace, action_names: Sequence[str], where: str
+) -> tuple[Constraint, ...]:
+    """Return the constraints as a tuple after checking each against the states and actions.
 
     Raises:
       ValueError: if one is no Constraint or does not fit; `where` names the argument.
@@ -256,17 +210,33 @@ def check_constraints(constraints: Any, space: StateSpace, where: str) -> tuple[
     for k, constraint in enumerate(checked):
         if not isinstance(constraint, Constraint):
             raise ValueError(f"{where}[{k}]: expected a Constraint, got {constraint!r}")
-        constraint.check(space)
+        constraint.check(space, action_names)
     return checked
 
 
 def violates(
-    constraint: Constraint, states: np.ndarray, space: StateSpace, between_states: bool
+    constraint: Constraint,
+    states: np.ndarray,
+    space: StateSpace,
+    between_states: bool,
+    actions: Actions | None = None,
 ) -> np.ndarray:
-    """Return [...] True where a trajectory [..., T+1, n] enters the constraint.
+    """Return [...] True where a trajectory enters the constraint.
 
     A single state, T = 0, is a trajectory too: it is judged as it is.
+
+    Args:
+      constraint: what it is not to enter.
+      states: [..., T+1, n].
+      space: what the n components are.
+      between_states: whether the segments between states count as well.
+      actions: [..., T, m], which must be there if the constraint is about actions.
     """
     if between_states and states.shape[-2] > 1:
-        return constraint.crosses(states[..., :-1, :], states[..., 1:, :], space).any(axis=-1)
-    return constraint.contains(states, space).any(axis=-1)
+        hit = constraint.crosses(states[..., :-1, :], states[..., 1:, :], space).any(axis=-1)
+    else:
+        hit = constraint.contains(states, space).any(axis=-1)
+    if not constraint.about_actions:
+        return hit
+    assert actions is not None
+    return hit | constraint.forbids(actions).any(axis=-1)

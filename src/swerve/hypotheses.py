@@ -20,16 +20,17 @@ from typing import Any
 
 import numpy as np
 
+from swerve.boxes import ActionBox, Box
 from swerve.constraints import (
-    Box,
     Constraint,
     Predicate,
+    Union,
     check_constraints,
-    constraint_from_json,
+    missing_function,
     violates,
 )
 from swerve.grid_axis import GridAxis
-from swerve.space import StateSpace
+from swerve.space import Actions, StateSpace
 
 BLOCK = 256  # trajectories judged at once: what is worked out for them stays in cache
 
@@ -45,18 +46,25 @@ class HypothesisSet(ABC):
         """Return hypothesis `index` as a constraint."""
 
     @abstractmethod
-    def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)], set where a trajectory enters a hypothesis.
 
         Args:
           states: [N, T+1, n] trajectories.
           space: what the n components are.
           between_states: whether the segments between states count as well.
+          actions: [N, T, m], which must be there if hypotheses are about actions.
         """
 
     @abstractmethod
-    def check(self, space: StateSpace) -> None:
-        """Raise ValueError where a hypothesis does not fit the state space."""
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a hypothesis does not fit the states or the actions."""
 
     @property
     @abstractmethod
@@ -66,6 +74,11 @@ class HypothesisSet(ABC):
     @property
     def needs_code(self) -> bool:
         """Whether judging a trajectory needs functions that no file can hold."""
+        return False
+
+    @property
+    def about_actions(self) -> bool:
+        """Whether judging a trajectory needs its actions."""
         return False
 
     @abstractmethod
@@ -98,9 +111,9 @@ class GridHypotheses(HypothesisSet):
         """The names of the axes."""
         return tuple(self.axes)
 
-    def check(self, space: StateSpace) -> None:
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where an axis is no state or an angle axis exceeds a full turn."""
-        self._bounding_box().check(space)
+        self._bounding_box().check(space, action_names)
 
     def _bounding_box(self) -> Box:
         return Box(**{name: (low, high) for name, (low, high, _) in self.axes.items()})
@@ -121,7 +134,13 @@ class GridHypotheses(HypothesisSet):
         axes = self._lines(space)
         return _join(axes, [axis.index(axis.position(states)) for axis in axes])
 
-    def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]; the cost is that of the lines crossed, not of H."""
         bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
         for first in range(0, len(states), BLOCK):
@@ -206,17 +225,23 @@ class ConstraintHypotheses(HypothesisSet):
     @property
     def state_names(self) -> tuple[str, ...]:
         """The states that boxes name, in order of first mention."""
-        boxes = (c for c in self.constraints if isinstance(c, Box))
+        parts = (part for c in self.constraints for part in c.parts)
+        boxes = (part for part in parts if isinstance(part, Box))
         return tuple(dict.fromkeys(name for box in boxes for name in box.intervals))
 
     @property
     def needs_code(self) -> bool:
         """Whether there are predicates among them."""
-        return any(isinstance(constraint, Predicate) for constraint in self.constraints)
+        return any(constraint.needs_code for constraint in self.constraints)
 
-    def check(self, space: StateSpace) -> None:
-        """Raise ValueError where a constraint does not fit the state space."""
-        check_constraints(self.constraints, space, "hypotheses")
+    @property
+    def about_actions(self) -> bool:
+        """Whether one of them forbids actions."""
+        return any(constraint.about_actions for constraint in self.constraints)
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a constraint does not fit the states or the actions."""
+        check_constraints(self.constraints, space, action_names, "hypotheses")
 
     def constraint(self, index: int) -> Constraint:
         """Return constraint `index`."""
@@ -224,10 +249,16 @@ class ConstraintHypotheses(HypothesisSet):
             raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
         return self.constraints[index]
 
-    def violations(self, states: np.ndarray, space: StateSpace, between_states: bool) -> np.ndarray:
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]."""
         states = np.asarray(states, np.float64)
-        columns = [violates(c, states, space, between_states) for c in self.constraints]
+        columns = [violates(c, states, space, between_states, actions) for c in self.constraints]
         return np.packbits(np.stack(columns, axis=-1), axis=-1, bitorder="little")
 
     def to_json(self) -> dict[str, Any]:
@@ -256,6 +287,22 @@ def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
     if data["kind"] == "grid":
         return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
     return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
+
+
+def constraint_from_json(data: dict[str, Any]) -> Constraint:
+    """Rebuild a constraint from `to_json` data; a predicate comes back without its function."""
+    if data["kind"] == "union":
+        parts = [constraint_from_json(part) for part in data["constraints"]]
+        return Union(data["name"], parts)
+    if data["kind"] in ("box", "action_box"):
+        kind = Box if data["kind"] == "box" else ActionBox
+        return kind(
+            **{
+                name: (-math.inf if low is None else low, math.inf if high is None else high)
+                for name, (low, high) in data["intervals"].items()
+            }
+        )
+    return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
 
 
 def unpack(bits: np.ndarray, num_hypotheses: int) -> np.ndarray:

@@ -26,7 +26,8 @@ from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
 from swerve.hypotheses import unpack
 from swerve.problem import ProblemRecord
-from swerve.state_checks import check_start, check_states
+from swerve.space import Actions
+from swerve.state_checks import check_finite, check_start, check_states, row_namer
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
@@ -248,11 +249,29 @@ class Inference:
 def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
     """Refuse a demonstration that enters a known constraint: under the model it cannot happen."""
     for constraint in problem.known:
-        if violates(constraint, demonstration.states, problem.space, problem.between_states):
+        actions = _actions(demonstration, problem, constraint.about_actions)
+        states, between = demonstration.states, problem.between_states
+        if violates(constraint, states, problem.space, between, actions):
             raise ValueError(
                 f"{demonstration.name} enters the known constraint {constraint.name}, which the "
                 "problem says nobody can: correct the demonstration (units, frame) or `known`"
             )
+
+
+def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool) -> Actions | None:
+    """Return the actions of a demonstration [L-1, m] where they are needed."""
+    if not needed:
+        return None
+    names, values = problem.action_names, demonstration.actions
+    if values is None or values.shape[1] != len(names):
+        raise ValueError(
+            f"{demonstration.name}: the problem has constraints on actions, so a demonstration "
+            f"needs its actions, columns {', '.join(names)}, got "
+            f"{'none' if values is None else f'{values.shape[1]} of them'}"
+        )
+    values = values[: len(demonstration.states) - 1]
+    check_finite(values, names, row_namer(demonstration.name, None))
+    return Actions(names, values)
 
 
 def _check_goal(demonstration: Demonstration, evidence: Evidence) -> None:
@@ -313,5 +332,10 @@ def _judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.nd
     _check_known(demonstration, problem)
     _check_goal(demonstration, evidence)
     task = evidence.match(demonstration.task, demonstration.name)
-    bits = problem.hypotheses.violations(states[None], problem.space, problem.between_states)
+    actions = _actions(demonstration, problem, problem.hypotheses.about_actions)
+    if actions is not None:
+        actions = actions._replace(values=actions.values[None])
+    bits = problem.hypotheses.violations(
+        states[None], problem.space, problem.between_states, actions
+    )
     return task, bits[0]

@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve.constraints import Box, Constraint
+from swerve.boxes import Box
+from swerve.constraints import Constraint, Union
 from swerve.hypotheses import ConstraintHypotheses, GridHypotheses, HypothesisSet
 from swerve.inference import Inference
 from swerve.problem import ProblemRecord
@@ -102,6 +103,8 @@ class Plane:
         the middle of their bounds. There are none where the constraint is outside the picture or
         speaks of none of its states, nor for a predicate whose code is missing.
         """
+        if isinstance(constraint, Union):
+            return np.concatenate([self.rectangles(part) for part in constraint.parts])
         if not isinstance(constraint, Box):
             return self._raster(constraint)
         if not set(self.names) & set(constraint.intervals):
@@ -240,7 +243,8 @@ def _intervals(hypotheses: HypothesisSet, name: str) -> np.ndarray:
     if isinstance(hypotheses, GridHypotheses):
         found = [hypotheses.axes[name][:2]] if name in hypotheses.axes else []
     elif isinstance(hypotheses, ConstraintHypotheses):
-        boxes = [c for c in hypotheses.constraints if isinstance(c, Box)]
+        parts = [part for constraint in hypotheses.constraints for part in constraint.parts]
+        boxes = [part for part in parts if isinstance(part, Box)]
         found = [box.intervals[name] for box in boxes if name in box.intervals]
     return np.array(found).reshape(-1, 2)
 

@@ -25,8 +25,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swerve.constraints import Constraint, Predicate, check_constraints, constraint_from_json
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
+from swerve.constraints import Constraint, check_constraints
+from swerve.hypotheses import (
+    ConstraintHypotheses,
+    HypothesisSet,
+    constraint_from_json,
+    hypotheses_from_json,
+)
 from swerve.space import StateSpace
 
 if TYPE_CHECKING:
@@ -75,15 +80,17 @@ class Problem:
         if not isinstance(self.mdp, MDP):
             raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
         check_mdp(self.mdp)
+        space, action_names = self.mdp.space, tuple(self.mdp.action_names)
         if not isinstance(self.hypotheses, HypothesisSet):
-            check_constraints(self.hypotheses, self.mdp.space, "hypotheses")
+            check_constraints(self.hypotheses, space, action_names, "hypotheses")
             object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))
         if not (math.isfinite(self.beta) and self.beta >= 0):
             raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
         if self.measure not in MEASURES:
             raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
-        self.hypotheses.check(self.mdp.space)
-        object.__setattr__(self, "known", check_constraints(self.known, self.mdp.space, "known"))
+        self.hypotheses.check(space, action_names)
+        known = check_constraints(self.known, space, action_names, "known")
+        object.__setattr__(self, "known", known)
 
     @property
     def record(self) -> ProblemRecord:
@@ -137,7 +144,7 @@ class ProblemRecord:
     @property
     def needs_code(self) -> bool:
         """Whether judging a demonstration needs functions that no file can hold."""
-        return self.hypotheses.needs_code or any(isinstance(c, Predicate) for c in self.known)
+        return self.hypotheses.needs_code or any(c.needs_code for c in self.known)
 
     @property
     def fingerprint(self) -> str:

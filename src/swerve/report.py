@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 import swerve
 from swerve import plots, store, wording
-from swerve.constraints import interval_name
+from swerve.boxes import interval_name
 from swerve.diagnosis import LOW_ESS, LOW_ESS_SHARE
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference

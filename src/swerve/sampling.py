@@ -28,9 +28,9 @@ from swerve.nominal import Nominal
 from swerve.problem import Problem, ProblemRecord
 from swerve.progress import progress_bar
 from swerve.samples import METHODS, Samples, log_weights, summarise
-from swerve.space import Task
+from swerve.space import Actions, Task
 from swerve.tasks import checked_tasks
-from swerve.trajectory import Policy, SoftPolicy, rollout
+from swerve.trajectory import Policy, SoftPolicy, Trajectory, rollout
 
 CHUNK = 2048  # trajectories rolled out at once: their activations stay in cache
 NUM_KEPT = 100
@@ -235,10 +235,23 @@ def _sample_chunk(job: _Job, key: jax.Array, size: int, used: int) -> _Chunk:
     log_weight = log_weights(job.record, numbers)
     return _Chunk(
         numbers,
-        job.record.hypotheses.violations(states, job.record.space, problem.between_states),
+        job.record.hypotheses.violations(
+            states, job.record.space, problem.between_states, _actions_taken(job, trajectory, used)
+        ),
         states[_at(_points(), log_weight)[0]],
         float(np.logaddexp.reduce(log_weight)),
     )
+
+
+def _actions_taken(job: _Job, trajectory: Trajectory, used: int) -> Actions | None:
+    """Return the actions of trajectories where hypotheses are about them, NaN after their end."""
+    if not job.record.hypotheses.about_actions:
+        return None
+    values = np.asarray(job.problem.mdp.actions, np.float64)[
+        np.asarray(trajectory.actions).T[:used]
+    ]
+    ended = np.arange(values.shape[1]) >= np.asarray(trajectory.length)[:used, None]
+    return Actions(job.record.action_names, np.where(ended[..., None], np.nan, values))
 
 
 def _points() -> np.ndarray:

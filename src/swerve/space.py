@@ -47,6 +47,18 @@ class Task(NamedTuple):
         )
 
 
+class Actions(NamedTuple):
+    """Actions and what their components are called.
+
+    Attributes:
+      names: the m names.
+      values: [..., m]; NaN where a trajectory has ended.
+    """
+
+    names: tuple[str, ...]
+    values: Any
+
+
 @dataclass(frozen=True, eq=False)
 class StateSpace:
     """Names, angles and bounds of the states of an MDP.

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from swerve.constraints import Constraint
 from swerve.mdp import MDP
 from swerve.problem import Problem
+from swerve.space import Actions
 
 Policy = Callable[[Array, Array, Array], Array]
 """Maps one state [n], the step t and one goal [g] to log-probabilities [A]."""
@@ -87,14 +88,17 @@ def enters(
     next_state: Float[Array, " n"],
     mdp: MDP,
     between_states: bool,
+    action: Float[Array, " m"] | None = None,
 ) -> Bool[Array, ""]:
-    """Return whether a step enters one of the known constraints."""
+    """Return whether a step, by an action if one is given, enters one of the known constraints."""
     hit = jnp.zeros((), bool)
     for constraint in known:
         if between_states:
             hit = hit | constraint.crosses(state, next_state, mdp.space)
         else:
             hit = hit | constraint.contains(next_state, mdp.space)
+        if action is not None and constraint.about_actions:
+            hit = hit | constraint.forbids(Actions(tuple(mdp.action_names), action))
     return hit
 
 
@@ -108,7 +112,7 @@ def take_step(
     ended = mdp.terminated(next_state, goal) | (step == mdp.num_steps - 1)
     reward = mdp.reward(state, torque, next_state, goal)
     reward = reward + jnp.where(ended, mdp.terminal_reward(next_state, goal), 0.0)
-    forbidden = enters(problem.known, state, next_state, mdp, problem.between_states)
+    forbidden = enters(problem.known, state, next_state, mdp, problem.between_states, torque)
     return Step(next_state, jnp.where(forbidden, -jnp.inf, reward), ended | forbidden)
 
 

@@ -166,7 +166,7 @@ class GridPolicy(eqx.Module):
             value = jnp.where(ended, beta * mdp.terminal_reward(next_state, goal), value)
             value = value + beta * mdp.reward(state, action, next_state, goal)
             forbidden = enters(
-                self.problem.known, state, next_state, mdp, self.problem.between_states
+                self.problem.known, state, next_state, mdp, self.problem.between_states, action
             )
             return jnp.where(forbidden, FORBIDDEN, value)
 

@@ -123,7 +123,9 @@ def find_successors(problem: Problem, grid: StateGrid, clear: np.ndarray | None)
     def successors_of(action: Array, nodes: Array) -> tuple[Array, Array, Array, Stencil, Stencil]:
         def step(state: Array) -> tuple[Array, Array, Array, Stencil, Stencil]:
             next_state = mdp.dynamics(state, action)
-            forbidden = enters(problem.known, state, next_state, mdp, problem.between_states)
+            forbidden = enters(
+                problem.known, state, next_state, mdp, problem.between_states, action
+            )
             linear = in_sight(problem, grid, next_state)
             return next_state, forbidden, linear.nodes[0], grid.cubic(next_state), linear
 
