@@ -57,7 +57,10 @@ SolverName = Annotated[
 Samples = Annotated[
     int | None, Parameter(help="Trajectories sampled for each task. [default: 10000]")
 ]
-Method = Annotated[str | None, Parameter(help="importance or plain. [default: importance]")]
+Method = Annotated[
+    str | None,
+    Parameter(help="importance or plain, for solvers that are sampled. [default: importance]"),
+]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
 AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")]
 
@@ -131,6 +134,8 @@ def sample(
     as_json: AsJson = False,
 ) -> None:
     """Sample the nominal distribution for tasks, so that inference is instant afterwards."""
+    from swerve import wording
+
     job = _work(problem, work, solver, seed, method, samples)
     evidence = job.evidence(_asked_tasks(job, [], tasks))
     rows = [
@@ -146,7 +151,7 @@ def sample(
     if as_json:
         print(json.dumps({"num_trajectories": evidence.num_trajectories, "tasks": rows}))
         return
-    print(f"{evidence.num_trajectories} trajectories for each of {evidence.num_tasks} tasks")
+    print(f"{wording.counted(evidence.num_tasks, 'task')}, {wording.samples(evidence)}")
     print(f"{'task':>4}  {'ESS':>8}  {'KL [nats]':>9}  {'log Z_0':>9}  start -> goal")
     for k, row in enumerate(rows):
         print(

@@ -39,12 +39,18 @@ def warnings(inference: Inference) -> tuple[str, ...]:
     """Return what speaks against trusting the ranking; empty if nothing does."""
     return (
         *_exhausted(inference),
-        *_low_samples(inference),
-        *_far_policy(inference),
-        *_wrong_value(inference),
-        *_floored(inference),
+        *_impossible(inference),
+        *(() if inference.evidence.is_exact else _sampling(inference)),
         *_doubts(inference),
     )
+
+
+def _sampling(inference: Inference) -> Iterator[str]:
+    """Yield what speaks against the samples."""
+    yield from _low_samples(inference)
+    yield from _far_policy(inference)
+    yield from _wrong_value(inference)
+    yield from _floored(inference)
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -149,13 +155,24 @@ def _doubts(inference: Inference) -> Iterator[str]:
 
 
 def _exhausted(inference: Inference) -> Iterator[str]:
-    if not len(inference.ranking):
+    if not len(inference.ranking) and inference.demonstrations:
         entered = inference.entered.sum(axis=1)
         yield (
             f"no hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
             f"least one demonstration ({inference.demonstrations[int(entered.argmax())].name} "
             f"alone enters {entered.max()}). The constraint is not among the hypotheses, or the "
             "demonstrations are not of this problem"
+        )
+
+
+def _impossible(inference: Inference) -> Iterator[str]:
+    """Yield which hypotheses forbid everything."""
+    found = np.flatnonzero(inference.impossible & ~inference.entered.any(axis=0))
+    if len(found):
+        names = some_names([f"hypothesis {index}" for index in found])
+        yield (
+            f"{names} struck out: every trajectory of a task enters, so nobody could do that task "
+            "and obey"
         )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from swerve import estimators, store
 from swerve.problem import ProblemRecord
-from swerve.samples import Samples, Summary, equalise, log_weights, summarise
+from swerve.samples import EXACT, Samples, Summary, equalise, log_weights, summarise
 from swerve.space import Task
 
 KIND = "swerve-evidence"
@@ -38,7 +38,8 @@ class Evidence:
     Attributes:
       problem: what was sampled.
       tasks: starts [K, n] and goals [K, g].
-      method: "importance" or "plain" (all weights equal, the paper's estimate).
+      method: "importance", "plain" (all weights equal, the paper's estimate), or "exact": then
+        the estimates are no estimates, and the trajectories are there for pictures alone.
       num_trajectories: N a task.
       solver: the solver and its settings, for people.
       seed: of the sampling.
@@ -65,6 +66,11 @@ class Evidence:
         return len(self.tasks.start)
 
     @property
+    def is_exact(self) -> bool:
+        """Whether the solver gave answers without sampling."""
+        return self.method == EXACT
+
+    @property
     def violation_probability(self) -> np.ndarray:
         """[K, H] probability that a nominal trajectory enters each hypothesis, 1 - Z_c / Z_0."""
         return 1.0 - self.summary.avoid_probability
@@ -73,8 +79,10 @@ class Evidence:
     def resolution(self) -> np.ndarray:
         """[K] the least probability that the samples resolve: one trajectory's share.
 
-        1 / N for equal weights, 1 / ESS for importance weights.
+        1 / N for equal weights, 1 / ESS for importance weights; 0 where answers are exact.
         """
+        if self.is_exact:
+            return np.zeros(self.num_tasks)
         if self.method == "plain":
             return np.full(self.num_tasks, 1.0 / self.num_trajectories)
         return 1.0 / self.effective_sample_size
@@ -90,14 +98,18 @@ class Evidence:
     @property
     def log_ratio(self) -> np.ndarray:
         """[K, H] log(Z_c / Z_0) in nats, at least log(resolution)."""
-        return np.log(np.maximum(self.summary.avoid_probability, self.resolution[:, None]))
+        with np.errstate(divide="ignore"):  # exactly nothing avoids it
+            return np.log(np.maximum(self.summary.avoid_probability, self.resolution[:, None]))
 
     @property
     def standard_error(self) -> np.ndarray:
         """[K, H] standard error of `log_ratio` in nats (delta method).
 
-        At least `resolution`, what one more trajectory could change; 1 where the ratio is floored.
+        At least `resolution`, what one more trajectory could change; 1 where the ratio is floored;
+        0 where answers are exact.
         """
+        if self.is_exact:
+            return np.zeros_like(self.summary.avoid_probability)
         least = self.resolution[:, None]
         relative = np.sqrt(self.summary.avoid_variance) / np.maximum(
             self.summary.avoid_probability, least

@@ -60,15 +60,26 @@ class Inference:
         return np.bincount(self.task_of, minlength=self.evidence.num_tasks)
 
     @cached_property
+    def impossible(self) -> np.ndarray:
+        """[H] True where exact evidence says that nobody who has one of the tasks can avoid it."""
+        avoid = self.evidence.summary.avoid_probability[self.task_counts > 0]
+        return np.asarray(self.evidence.is_exact & (avoid == 0.0).any(axis=0))
+
+    @cached_property
     def struck_out(self) -> np.ndarray:
-        """[H] True where at least one demonstration enters the hypothesis."""
-        return np.asarray(self.entered.any(axis=0))
+        """[H] True where a demonstration enters the hypothesis, or nobody can avoid it."""
+        return np.asarray(self.entered.any(axis=0)) | self.impossible
 
     @cached_property
     def log_likelihood(self) -> np.ndarray:
         """[H] log-likelihood ratio against no constraint [nats]; -inf where struck out."""
-        value = -self.task_counts @ self.evidence.log_ratio
+        value = -self.task_counts @ np.where(self.impossible, 0.0, self._finite_log_ratio)
         return np.where(self.struck_out, -np.inf, value)
+
+    @property
+    def _finite_log_ratio(self) -> np.ndarray:
+        """[K, H] log ratios, 0 for tasks that are not used: theirs may be infinite."""
+        return np.where(self.task_counts[:, None] > 0, self.evidence.log_ratio, 0.0)
 
     @cached_property
     def standard_error(self) -> np.ndarray:
@@ -201,6 +212,7 @@ class Inference:
                 {
                     "index": index,
                     "name": self.hypothesis_name(index),
+                    "impossible": bool(self.impossible[index]),
                     "entered_by": [
                         self.demonstrations[d].name for d in np.flatnonzero(self.entered[:, index])
                     ],

@@ -15,6 +15,7 @@ import numpy as np
 
 from swerve import store
 from swerve.arguments import instance, whole_number
+from swerve.exact import ExactAnswer
 from swerve.problem import Problem
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
@@ -26,9 +27,8 @@ KIND = "swerve-nominal"
 VERSION = 1
 
 
-@runtime_checkable
 class Nominal(Protocol):
-    """An approximation of pi_0 for every goal of a problem."""
+    """What a solver knows of pi_0, for every goal of a problem."""
 
     @property
     def problem(self) -> Problem:
@@ -39,6 +39,15 @@ class Nominal(Protocol):
     def solver(self) -> Solver:
         """How it was learned."""
         ...
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the learned numbers, to be stored."""
+        ...
+
+
+@runtime_checkable
+class PolicyNominal(Nominal, Protocol):
+    """An approximation of pi_0 that is sampled."""
 
     def policies(
         self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
@@ -51,8 +60,24 @@ class Nominal(Protocol):
         """
         ...
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the learned numbers, to be stored."""
+
+@runtime_checkable
+class ExactNominal(Nominal, Protocol):
+    """pi_0 itself: what would be sampled is worked out."""
+
+    def answer(
+        self, task: Task, generator: np.random.Generator, advance: Callable[[float], None]
+    ) -> ExactAnswer:
+        """Return what is exactly so for a task.
+
+        Args:
+          task: start [n] and goal [g].
+          generator: of the trajectories that are drawn for pictures.
+          advance: called with the share of the task done since the last call; in all, 1.
+
+        Raises:
+          ValueError: if no trajectory is allowed: log Z_0 would be -inf.
+        """
         ...
 
 

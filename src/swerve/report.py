@@ -222,7 +222,10 @@ def _tasks(inference: Inference) -> str:
             _demonstration_names(inference, task),
             _vector(evidence.tasks.start[task]),
             _vector(evidence.tasks.goal[task]),
-            f"{ess[task]:,.0f} of {evidence.num_trajectories:,}{', low' * bool(ess[task] < low)}",
+            "exact"
+            if evidence.is_exact
+            else f"{ess[task]:,.0f} of {evidence.num_trajectories:,}"
+            f"{', low' * bool(ess[task] < low)}",
             f"{evidence.kl[task]:.2f}",
             f"{evidence.log_partition[task]:.2f}",
             evidence.method,
@@ -273,7 +276,9 @@ def _settings(inference: Inference) -> str:
         "Demonstrations": f"{len(inference.demonstrations):,}",
         "Ranked by": score,
         "Nominal distribution": evidence.solver,
-        "Samples": f"{evidence.num_trajectories:,} trajectories a task, {evidence.method} weights, "
+        "Samples": "none, answers are exact"
+        if evidence.is_exact
+        else f"{evidence.num_trajectories:,} trajectories a task, {evidence.method} weights, "
         f"seed {evidence.seed}",
         "Fingerprint": problem.fingerprint[:16],
     }

@@ -14,6 +14,8 @@ from swerve import estimators
 from swerve.problem import ProblemRecord
 
 METHODS = ("importance", "plain")
+EXACT = "exact"  # what the method of evidence is called that a solver gave without sampling
+NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures
 
 
 class Sampled(Protocol):

@@ -14,6 +14,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,16 +25,16 @@ import numpy as np
 from swerve import estimators
 from swerve.arguments import whole_number
 from swerve.evidence import Evidence
-from swerve.nominal import Nominal
+from swerve.exact import exact_evidence
+from swerve.nominal import ExactNominal, Nominal, PolicyNominal
 from swerve.problem import Problem, ProblemRecord
 from swerve.progress import progress_bar
-from swerve.samples import METHODS, Samples, log_weights, summarise
+from swerve.samples import EXACT, METHODS, NUM_KEPT, Samples, log_weights, summarise
 from swerve.space import Actions, Task
 from swerve.tasks import checked_tasks
 from swerve.trajectory import Policy, SoftPolicy, Trajectory, rollout
 
 CHUNK = 2048  # trajectories rolled out at once: their activations stay in cache
-NUM_KEPT = 100
 
 
 def sample(
@@ -41,7 +42,7 @@ def sample(
     tasks: Task | Sequence[Task],
     num_trajectories: int = 10_000,
     *,
-    method: str = "importance",
+    method: str | None = None,
     seed: int = 0,
     progress: bool = False,
 ) -> Evidence:
@@ -50,10 +51,10 @@ def sample(
     Args:
       nominal: from `learn`.
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
-      num_trajectories: N for each task.
-      method: "importance" weighs each trajectory by target over proposal, so that the answer is
-        right however imperfect the policy, as long as it covers all modes; "plain" weighs all
-        alike, as the paper does.
+      num_trajectories: N for each task; of no matter where answers are exact.
+      method: "importance" (the default) weighs each trajectory by target over proposal, so that
+        the answer is right however imperfect the policy, as long as it covers all modes; "plain"
+        weighs all alike, as the paper does. Solvers that give exact answers take neither.
       seed: of the sampling. A task's trajectories depend on the seed and the task alone, not on
         the other tasks of the call.
       progress: whether to show a progress bar.
@@ -77,7 +78,7 @@ def sample_each(
     tasks: Task | Sequence[Task],
     num_trajectories: int,
     *,
-    method: str,
+    method: str | None,
     seed: int,
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
@@ -85,8 +86,50 @@ def sample_each(
 
     Tasks with the same goal follow one another, whatever their order.
     """
-    if not isinstance(nominal, Nominal):
+    if isinstance(nominal, ExactNominal):
+        yield from _answer_each(nominal, tasks, method, seed, progress)
+    elif isinstance(nominal, PolicyNominal):
+        yield from _sample_each(
+            nominal, tasks, num_trajectories, method or METHODS[0], seed, progress
+        )
+    else:
         raise ValueError(f"nominal: expected what swerve.learn returns, got {nominal!r}")
+
+
+def _answer_each(
+    nominal: ExactNominal,
+    tasks: Task | Sequence[Task],
+    method: str | None,
+    seed: int,
+    progress: bool,
+) -> Iterator[tuple[int, Evidence]]:
+    """Yield the exact evidence of each task in turn."""
+    if method not in (None, EXACT):
+        raise ValueError(
+            f"method: the {nominal.solver.name} solver gives exact answers, so there is nothing to "
+            f"sample by {method!r}: leave method out"
+        )
+    seed = whole_number(seed, "seed", 0)
+    batch = checked_tasks(nominal.problem, tasks)
+    record = nominal.problem.record
+    with progress_bar(nominal.solver.name, len(batch.start), progress) as advance:
+        for k in range(len(batch.start)):
+            task = Task(batch.start[k], batch.goal[k])
+            key = np.random.default_rng([seed, zlib.crc32(np.concatenate(task).tobytes())])
+            with _naming(k, task):
+                answer = nominal.answer(task, key, advance)
+            yield k, exact_evidence(record, task, answer, repr(nominal.solver), seed)
+
+
+def _sample_each(
+    nominal: PolicyNominal,
+    tasks: Task | Sequence[Task],
+    num_trajectories: int,
+    method: str,
+    seed: int,
+    progress: bool,
+) -> Iterator[tuple[int, Evidence]]:
+    """Yield the evidence of each task, sampled."""
     batch = checked_tasks(nominal.problem, tasks)
     if method not in METHODS:
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
@@ -104,13 +147,9 @@ def sample_each(
                 task = Task(batch.start[k], batch.goal[k])
                 alone = Task(task.start[None], task.goal[None])
                 job = _Job(nominal.problem, record, policy, task, num_trajectories, seed)
-                try:
+                with _naming(k, task):
                     samples = _sample_task(job, workers.map, advance)
                     summary = summarise(record, samples, method)
-                except ValueError as error:
-                    raise ValueError(
-                        f"task {k}, from {task.start.tolist()} to {task.goal.tolist()}: {error}"
-                    ) from error
                 yield (
                     k,
                     Evidence(
@@ -124,6 +163,17 @@ def sample_each(
                         load_samples=lambda samples=samples: samples,
                     ),
                 )
+
+
+@contextmanager
+def _naming(k: int, task: Task) -> Iterator[None]:
+    """Name the task in whatever goes wrong with it."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(
+            f"task {k}, from {task.start.tolist()} to {task.goal.tolist()}: {error}"
+        ) from error
 
 
 def _check_memory(num_tasks: int, num_trajectories: int, num_hypotheses: int) -> None:

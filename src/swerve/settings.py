@@ -6,8 +6,10 @@ import dataclasses
 from typing import Any
 
 from swerve.arguments import whole_number
-from swerve.samples import METHODS
+from swerve.samples import EXACT, METHODS, NUM_KEPT
 from swerve.specification import Specification
+
+EXACT_SOLVERS = ("enumeration", "tabular", "discrete")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +34,12 @@ class Settings:
     def __post_init__(self) -> None:
         if self.solver is not None:
             object.__setattr__(self, "solver", str(Specification.parse(self.solver)))
-        if self.method is not None and self.method not in METHODS:
+        exact = _is_exact(self.solver)
+        if exact and self.method not in (None, EXACT):
+            raise ValueError(
+                f"method: solver {self.solver!r} gives exact answers, leave {self.method!r} out"
+            )
+        if self.method not in (None, *METHODS, *([EXACT] if exact else [])):
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if self.num_trajectories is not None:
             whole_number(self.num_trajectories, "samples", 2)
@@ -48,4 +55,20 @@ class Settings:
     def completed(self, others: Settings) -> Settings:
         """Return these settings, with those of others where there is none."""
         given = {name: value for name, value in vars(self).items() if value is not None}
+        if self.solver is not None and _is_exact(self.solver) != _is_exact(others.solver):
+            others = Settings(seed=others.seed)  # exact solvers have another method
         return dataclasses.replace(others, **given)
+
+    def filled(self) -> Settings:
+        """Return these settings with the defaults where there is none; the solver is known."""
+        assert self.solver is not None
+        defaults = {"seed": 0, "method": METHODS[0], "num_trajectories": 10_000}
+        if _is_exact(self.solver):
+            defaults |= {"method": EXACT, "num_trajectories": NUM_KEPT}
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return Settings(**defaults | given)
+
+
+def _is_exact(solver: str | None) -> bool:
+    """Return whether a solver, if one is named, gives exact answers."""
+    return solver is not None and Specification.parse(solver).target in EXACT_SOLVERS

@@ -11,6 +11,7 @@ import textwrap
 
 import numpy as np
 
+from swerve.evidence import Evidence
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
 
@@ -66,7 +67,15 @@ def settings(inference: Inference) -> str:
     evidence = inference.evidence
     return (
         f"{evidence.problem.summary}; {counted(len(inference.demonstrations), 'demonstration')}, "
-        f"{counted(int(np.count_nonzero(inference.task_counts)), 'task')}, "
+        f"{counted(int(np.count_nonzero(inference.task_counts)), 'task')}, {samples(evidence)}"
+    )
+
+
+def samples(evidence: Evidence) -> str:
+    """Return where the numbers come from."""
+    if evidence.is_exact:
+        return f"exact answers from {evidence.solver}"
+    return (
         f"{evidence.num_trajectories:,} trajectories a task from {evidence.solver}, "
         f"{evidence.method} weights, seed {evidence.seed}"
     )

@@ -95,12 +95,12 @@ class Work:
     @property
     def settings(self) -> Settings:
         """All settings: those asked for, else those used last, else the defaults."""
-        chosen = self._asked.completed(self._last).completed(Settings(None, 0, METHODS[0], 10_000))
+        chosen = self._asked.completed(self._last)
         if chosen.solver is None:
             from swerve.nominal import default_solver
 
-            chosen = dataclasses.replace(chosen, solver=default_solver(self.problem))
-        return chosen
+            chosen = chosen.completed(Settings(default_solver(self.problem)))
+        return chosen.filled()
 
     @property
     def goal_of(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -202,7 +202,7 @@ class Work:
     def _weighed_otherwise(self) -> Evidence | None:
         """Return stored trajectories that were weighed by another method, weighed by this one."""
         mine = self.settings.method
-        for method in METHODS:
+        for method in METHODS if mine in METHODS else ():
             other = self._stored_evidence(method)
             if other is not None and mine is not None:
                 self._begin()

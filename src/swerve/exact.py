@@ -1,0 +1,93 @@
+"""Exact answers in the form of evidence.
+
+A solver that works pi_0 out, rather than sample it, gives log Z_0, Z_c / Z_0 for each hypothesis, and
+a few trajectories drawn from pi_0 itself, for pictures. For each of them
+
+    log pi_0(xi) = beta R(xi) + log m(xi) - log Z_0.
+
+Shapes: M trajectories drawn, T steps, n states, H hypotheses, B = ceil(H / 8) bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve.evidence import Evidence
+from swerve.problem import ProblemRecord
+from swerve.samples import EXACT, Samples, log_weights, summarise
+from swerve.space import Task
+
+
+class Drawn(NamedTuple):
+    """Trajectories drawn from pi_0; after its end one repeats its last state.
+
+    Attributes:
+      states: [M, T+1, n].
+      total_reward: [M] R(xi).
+      length: [M] steps taken.
+      violations: [M, B] packed bits.
+    """
+
+    states: np.ndarray
+    total_reward: np.ndarray
+    length: np.ndarray
+    violations: np.ndarray
+
+
+class ExactAnswer(NamedTuple):
+    """What is so for one task.
+
+    Attributes:
+      log_partition: log Z_0, nats.
+      avoid_probability: [H] Z_c / Z_0.
+      drawn: trajectories from pi_0.
+    """
+
+    log_partition: float
+    avoid_probability: np.ndarray
+    drawn: Drawn
+
+
+def exact_evidence(
+    record: ProblemRecord, task: Task, answer: ExactAnswer, solver: str, seed: int
+) -> Evidence:
+    """Return the evidence of one task, whose estimates have no error.
+
+    Raises:
+      ValueError: if log Z_0 is not finite.
+    """
+    log_partition, drawn = answer.log_partition, answer.drawn
+    if log_partition == -math.inf:
+        raise ValueError(
+            "no trajectory is allowed, log Z_0 = -inf: the goal cannot be reached within the "
+            f"horizon of {record.num_steps} steps, or known constraints are in the way"
+        )
+    numbers = Samples(
+        total_reward=drawn.total_reward[None],
+        log_probability=np.zeros((1, len(drawn.length))),
+        length=drawn.length[None],
+        violations=drawn.violations[None],
+        kept=drawn.states[None],
+        soft_value=np.array([log_partition]),
+    )
+    samples = numbers._replace(log_probability=log_weights(record, numbers) - log_partition)
+    summary = summarise(record, samples, EXACT)._replace(
+        avoid_probability=answer.avoid_probability[None],
+        avoid_variance=np.zeros((1, len(answer.avoid_probability))),
+        log_partition=np.array([log_partition]),
+        kl=np.zeros(1),
+        effective_sample_size=np.array([float(len(drawn.length))]),
+    )
+    return Evidence(
+        problem=record,
+        tasks=Task(task.start[None], task.goal[None]),
+        method=EXACT,
+        num_trajectories=len(drawn.length),
+        solver=solver,
+        seed=seed,
+        summary=summary,
+        load_samples=lambda: samples,
+    )
