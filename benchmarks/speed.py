@@ -112,7 +112,7 @@ def rollouts() -> dict[str, float]:
     workers = len(os.sched_getaffinity(0))
     start, goal = jnp.array([1.0, 0.5]), jnp.array([3.0, 0.0])
     network = learn(problem, PPO(num_steps=1, num_lanes=8, segment=1))
-    lookahead = next(learn(problem, Grid()).policies(np.asarray(goal)[None]))
+    lookahead = next(Grid().learn(problem).policies(np.asarray(goal)[None]))
     assert isinstance(network, PPONominal)
     figures = {}
     for name, policy, chunks in (("64 x 64", network.policy, 32), ("look-ahead", lookahead, 4)):

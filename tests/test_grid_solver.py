@@ -134,7 +134,7 @@ def test_known_predicate_is_the_same_as_the_box_it_describes() -> None:
 def test_soft_value_at_the_start_is_log_partition() -> None:
     problem = short_pendulum()
     exact = enumerate_exactly(problem, PENDULUM_TASK.start, PENDULUM_TASK.goal)
-    nominal = learn(problem, "grid")
+    nominal = Grid().learn(problem)
     policy = next(nominal.policies(PENDULUM_TASK.goal[None]))
     assert isinstance(policy, GridPolicy)
     value = policy.soft_value(
@@ -145,7 +145,7 @@ def test_soft_value_at_the_start_is_log_partition() -> None:
 
 def test_policy_is_a_distribution_that_never_enters_a_known_constraint() -> None:
     problem = short_cart(known=[Box(x=(0.0, 0.4))])
-    policy = next(learn(problem).policies(CART_TASK.goal[None]))
+    policy = next(Grid().learn(problem).policies(CART_TASK.goal[None]))
     state = jnp.array([0.6, -0.2])
     probabilities = np.exp(policy(state, jnp.int32(0), jnp.asarray(CART_TASK.goal)))
     assert probabilities.sum() == pytest.approx(1.0, abs=1e-6)
@@ -221,6 +221,6 @@ def test_rewards_that_are_not_finite_are_named() -> None:
             return jnp.where(state[1] > 2.0, jnp.inf, 0.0)
 
     problem = Problem(Broken(num_steps=3), grid(theta=(0.0, 1.0, 2)), beta=1.0)
-    nominal = learn(problem, Grid(num_points=12))
+    nominal = Grid(num_points=12).learn(problem)
     with pytest.raises(ValueError, match=r"Broken.terminal_reward is not finite somewhere"):
         next(nominal.policies(np.zeros((1, 2))))

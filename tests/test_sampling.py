@@ -109,7 +109,7 @@ def test_a_policy_that_enters_a_known_constraint_loses_that_weight() -> None:
     wall = Box(x=(-0.2, 0.3), v=(-0.9, 0.1))
     walled = short_cart(known=[wall])
     exact = enumerate_exactly(walled, CART_TASK.start, CART_TASK.goal)
-    blind = learn(short_cart(), Grid(num_points=81))
+    blind = Grid(num_points=81).learn(short_cart())
 
     @dataclasses.dataclass(frozen=True, eq=False)
     class Blind:

@@ -26,11 +26,15 @@ if TYPE_CHECKING:
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.problem import Problem
     from swerve.sampling import sample
+    from swerve.selection import Pick, divergence, greedy
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
+    from swerve.solvers.tabular import Tabular
     from swerve.space import StateSpace, Task
     from swerve.specification import load_problem
+    from swerve.systems.gridworld import Gridworld
     from swerve.systems.pendulum import Pendulum
+    from swerve.systems.tabular import TabularMDP, tabular
 
 __version__ = "0.1.0"
 
@@ -41,18 +45,24 @@ _HOMES = {
     "Demonstration": "demonstrations",
     "Evidence": "evidence",
     "Grid": "solvers.grid",
+    "Gridworld": "systems.gridworld",
     "HypothesisSet": "hypotheses",
     "Inference": "inference",
     "MDP": "mdp",
     "Nominal": "nominal",
     "PPO": "solvers.ppo",
+    "Pick": "selection",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
     "Problem": "problem",
     "StateSpace": "space",
+    "Tabular": "solvers.tabular",
+    "TabularMDP": "systems.tabular",
     "Task": "space",
     "Union": "constraints",
     "demonstrate": "demonstrators.boltzmann",
+    "divergence": "selection",
+    "greedy": "selection",
     "grid": "hypotheses",
     "hoeffding_error": "estimators",
     "hoeffding_sample_size": "estimators",
@@ -64,6 +74,7 @@ _HOMES = {
     "read_tasks": "demonstrations",
     "rk4": "mdp",
     "sample": "sampling",
+    "tabular": "systems.tabular",
     "save_nominal": "nominal",
     "write_demonstrations": "demonstrations",
 }
@@ -77,16 +88,22 @@ __all__ = [
     "Demonstration",
     "Evidence",
     "Grid",
+    "Gridworld",
     "HypothesisSet",
     "Inference",
     "Nominal",
     "Pendulum",
+    "Pick",
     "Predicate",
     "Problem",
     "StateSpace",
+    "Tabular",
+    "TabularMDP",
     "Task",
     "Union",
     "demonstrate",
+    "divergence",
+    "greedy",
     "grid",
     "hoeffding_error",
     "hoeffding_sample_size",
@@ -99,6 +116,7 @@ __all__ = [
     "rk4",
     "sample",
     "save_nominal",
+    "tabular",
     "write_demonstrations",
 ]
 

@@ -1,7 +1,7 @@
 """Exact answers in the form of evidence.
 
-A solver that works pi_0 out, rather than sample it, gives log Z_0, Z_c / Z_0 for each hypothesis, and
-a few trajectories drawn from pi_0 itself, for pictures. For each of them
+A solver that works pi_0 out, rather than sample it, gives log Z_0, Z_c / Z_0 for each hypothesis,
+and a few trajectories drawn from pi_0 itself, for pictures. For each of them
 
     log pi_0(xi) = beta R(xi) + log m(xi) - log Z_0.
 

@@ -221,7 +221,8 @@ def _check_method(
         raise ValueError(f"{label}: expected shape {shape}, got {value.shape}")
     if kind is bool and value.dtype != bool:
         raise ValueError(f"{label}: expected True or False, got {value} of {value.dtype}")
-    if not np.isfinite(np.asarray(value, float)).all():
+    numbers = np.asarray(value, float)
+    if not (np.isfinite(numbers) | (np.isneginf(numbers) & ("reward" in label))).all():
         raise ValueError(
             f"{label}: expected finite numbers, got {np.asarray(value).tolist()} at the centre of "
             f"the bounds, state {np.asarray(arguments[0]).tolist()}"

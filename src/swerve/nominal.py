@@ -7,7 +7,7 @@ can make them; importance weights take care of the rest.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -19,8 +19,10 @@ from swerve.exact import ExactAnswer
 from swerve.problem import Problem
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
+from swerve.solvers.tabular import Tabular
 from swerve.space import Task
 from swerve.specification import Specification, build
+from swerve.systems.tabular import TabularMDP
 from swerve.trajectory import Policy
 
 KIND = "swerve-nominal"
@@ -66,17 +68,19 @@ class ExactNominal(Nominal, Protocol):
     """pi_0 itself: what would be sampled is worked out."""
 
     def answer(
-        self, task: Task, generator: np.random.Generator, advance: Callable[[float], None]
+        self,
+        task: Task,
+        generator: np.random.Generator,
+        advance: Callable[[float], None] = lambda share: None,
+        avoiding: Sequence[int] = (),
     ) -> ExactAnswer:
-        """Return what is exactly so for a task.
+        """Return what is exactly so for a task; log Z_0 is -inf where no trajectory is allowed.
 
         Args:
           task: start [n] and goal [g].
           generator: of the trajectories that are drawn for pictures.
           advance: called with the share of the task done since the last call; in all, 1.
-
-        Raises:
-          ValueError: if no trajectory is allowed: log Z_0 would be -inf.
+          avoiding: hypotheses C to be obeyed: log Z_C and P(avoid c | avoid C) are returned.
         """
         ...
 
@@ -112,7 +116,7 @@ class Solver(Protocol):
         ...
 
 
-SOLVERS: dict[str, type[Solver]] = {"grid": Grid, "ppo": PPO}
+SOLVERS: dict[str, type[Solver]] = {"grid": Grid, "ppo": PPO, "tabular": Tabular}
 
 
 def learn(
@@ -174,7 +178,9 @@ def resolve_solver(text: str) -> Solver:
 
 
 def default_solver(problem: Problem) -> str:
-    """Return the solver to use where none is asked for: the grid wherever one fits."""
+    """Return the solver to use where none is asked for: tables, else a grid if one fits."""
+    if isinstance(problem.mdp, TabularMDP):
+        return "tabular"
     return "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "ppo"
 
 

@@ -25,7 +25,10 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, get_args, get_type_hints
 from weakref import WeakKeyDictionary
 
-SHIPPED = {"pendulum": "swerve.systems.pendulum:pendulum"}
+SHIPPED = {
+    "pendulum": "swerve.systems.pendulum:pendulum",
+    "gridworld": "swerve.systems.gridworld:gridworld",
+}
 # 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may well be texts
 PLAIN_NUMBER = re.compile(
     r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE

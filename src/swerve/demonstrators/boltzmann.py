@@ -21,7 +21,7 @@ from swerve import estimators
 from swerve.arguments import instance, whole_number
 from swerve.constraints import Constraint
 from swerve.demonstrations import Demonstration
-from swerve.nominal import learn, resolve_solver
+from swerve.nominal import PolicyNominal, learn, resolve_solver
 from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.samples import log_weights
@@ -78,6 +78,7 @@ def demonstrate(
     if len(labels) != len(batch.start):
         raise ValueError(f"names: expected {len(batch.start)}, one a task, got {len(labels)}")
     nominal = learn(constrained, chosen)
+    assert isinstance(nominal, PolicyNominal)
     stream = jax.random.fold_in(jax.random.key(seed), STREAM)
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     found: dict[int, Demonstration] = {}

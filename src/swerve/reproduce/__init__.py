@@ -1,0 +1,1 @@
+"""Published results, regenerated from nothing; one module each."""

@@ -1,0 +1,148 @@
+"""Golden output of tabular constraint inference: a world, demonstrations, and what was picked.
+
+A file of this form is JSON:
+
+    world               width, height, start, goal, action_delta, reward_per_action, horizon,
+                        feature_<name>_states, threshold, true_constraints
+    num_demonstrations  sizes D
+    sets                for each: states and actions of its demonstrations, and, for each D,
+                        selected: the picks in order, with the KL divergence after each
+
+States are numbered y * width + x. Of the hypotheses, features come first, then states, then
+actions.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swerve.demonstrations import Demonstration
+from swerve.problem import Problem
+from swerve.selection import Pick, divergence, greedy
+from swerve.solvers.tabular import Tabular
+from swerve.space import Task
+from swerve.systems.gridworld import MOVES, Cell, Gridworld
+
+
+class Golden(NamedTuple):
+    """What such a file holds.
+
+    Attributes:
+      problem: features, states and actions as hypotheses, counting measure, states alone.
+      task: the task of all demonstrations.
+      truth: the hypotheses that the demonstrations obeyed.
+      threshold: of the picks [nats a demonstration].
+      sizes: how many demonstrations were used.
+      sets: demonstrations, the first D of which were used.
+      selected: for each set and size the picks and the KL divergence [nats] after each.
+    """
+
+    problem: Problem
+    task: Task
+    truth: frozenset[int]
+    threshold: float
+    sizes: list[int]
+    sets: list[list[Demonstration]]
+    selected: list[list[list[tuple[int, float]]]]
+
+
+def read_golden(path: Path) -> Golden:
+    """Read a file of golden output.
+
+    Raises:
+      OSError: if there is no such file.
+      ValueError: if it is not of this form.
+    """
+    try:
+        return _golden(json.loads(path.read_text()))
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: not of the form of a golden.json: {error!r}") from error
+
+
+def _golden(data: dict[str, Any]) -> Golden:
+    world = data["world"]
+    width = world["width"]
+    moves = [list(delta) for delta in MOVES.values()]
+    order = [moves.index(list(delta)) for delta in world["action_delta"]]
+
+    def cell(state: int) -> Cell:
+        return state % width, state // width
+
+    names = sorted(key.split("_")[1] for key in world if key.startswith("feature_"))
+    features = tuple((n, tuple(map(cell, world[f"feature_{n}_states"]))) for n in names)
+    mdp = Gridworld(
+        width=width,
+        height=world["height"],
+        num_steps=world["horizon"] - 1,
+        step_reward=world["reward_per_action"],
+        cell_features=features,
+    )
+    first = {
+        "feature": {int(name): k for k, name in enumerate(names)},
+        "state": {s: len(names) + s for s in range(mdp.num_states)},
+        "action": {a: len(names) + mdp.num_states + k for a, k in enumerate(order)},
+    }
+    task = Task(*(np.array(cell(world[end]), float) for end in ("start", "goal")))
+    table = np.array(list(MOVES.values()), float)[order]
+
+    def demonstration(k: int, states: list[int], actions: list[int]) -> Demonstration:
+        path = np.array([cell(state) for state in states], float)
+        return Demonstration(f"demo_{k}", path, task, actions=table[np.array(actions, int)])
+
+    return Golden(
+        problem=Problem(mdp, mdp.hypotheses(), measure="counting", between_states=False),
+        task=task,
+        truth=frozenset(
+            first[kind][value] for kind in first for value in world["true_constraints"][f"{kind}s"]
+        ),
+        threshold=world["threshold"],
+        sizes=data["num_demonstrations"],
+        sets=[
+            [
+                demonstration(k, *pair)
+                for k, pair in enumerate(zip(found["states"], found["actions"], strict=True))
+            ]
+            for found in data["sets"]
+        ],
+        selected=[
+            [
+                [(first[pick["type"]][pick["value"]], pick["kl"]) for pick in picks]
+                for picks in sizes
+            ]
+            for sizes in (found["selected"] for found in data["sets"])
+        ],
+    )
+
+
+def compare(golden: Golden) -> tuple[int, int, float]:
+    """Pick anew from every set and size.
+
+    Returns:
+      How many sequences of picks are the same, of how many, and the largest difference of a KL
+      divergence in those that are [nats].
+    """
+    nominal = Tabular().learn(golden.problem)
+    same, error = 0, 0.0
+    for demonstrations, selected in zip(golden.sets, golden.selected, strict=True):
+        for size, expected in zip(golden.sizes, selected, strict=True):
+            used = demonstrations[:size]
+            picks = greedy(nominal, used, threshold=golden.threshold)
+            if [pick.hypothesis for pick in picks] != [index for index, _ in expected]:
+                continue
+            same += 1
+            found = kl_after(golden.problem, used, picks)
+            error = max([error, *np.abs(found - [kl for _, kl in expected])])
+    return same, sum(len(selected) for selected in golden.selected), error
+
+
+def kl_after(
+    problem: Problem, demonstrations: list[Demonstration], picks: list[Pick]
+) -> np.ndarray:
+    """Return the KL divergence after each pick [nats], for demonstrations of a single task."""
+    num = len(demonstrations)
+    start = divergence(problem, demonstrations, np.zeros(num))
+    return np.array([start + float(pick.log_partition[0]) for pick in picks])

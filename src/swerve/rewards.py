@@ -1,0 +1,82 @@
+"""What a demonstration earned: R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L).
+
+Shapes: L states of a demonstration, n state dimensions, m action dimensions.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from swerve.demonstrations import Demonstration
+from swerve.mdp import MDP
+from swerve.systems.tabular import TabularMDP
+
+
+def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
+    """Return the actions [L-1, m] of a demonstration.
+
+    Those of a tabular MDP are checked against its transitions, or found from them where the
+    demonstration names none and each of its steps can only be made in one way.
+
+    Raises:
+      ValueError: if actions are not there and cannot be found, or a step is impossible.
+    """
+    name, states, actions = demonstration.name, demonstration.states, demonstration.actions
+    if actions is not None:
+        actions = actions[: len(states) - 1]
+    if isinstance(mdp, TabularMDP):
+        index = mdp.state_index(states)
+        fits = mdp.successors[index[:-1]] == index[1:, None]  # [L-1, A]
+        if actions is None:
+            return np.asarray(mdp.actions, float)[_only_way(fits, demonstration)]
+        taken = mdp.action_index(actions)
+        _check_possible(fits[np.arange(len(taken)), taken], demonstration)
+    if actions is None:
+        raise ValueError(
+            f"{name}: expected actions {', '.join(mdp.action_names)}, got none: what a "
+            "demonstration earned depends on them"
+        )
+    return actions
+
+
+def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) -> float:
+    """Return R(xi) of a demonstration that took the actions [L-1, m]."""
+    states = demonstration.states
+    goal = jnp.asarray(demonstration.task.goal, jnp.float32)
+    end = float(mdp.terminal_reward(jnp.asarray(states[-1], jnp.float32), goal))
+    if isinstance(mdp, TabularMDP):
+        place = mdp.state_index(states[:-1]), mdp.action_index(actions)
+        return float(mdp.rewards[place].sum()) + end
+    path, taken = jnp.asarray(states, jnp.float32), jnp.asarray(actions, jnp.float32)
+    steps = jax.vmap(mdp.reward, (0, 0, 0, None))(path[:-1], taken, path[1:], goal)
+    return float(np.asarray(steps, float).sum()) + end
+
+
+def _check_possible(possible: np.ndarray, demonstration: Demonstration) -> None:
+    """Raise ValueError where a step [L-1] of a demonstration is not possible."""
+    wrong = np.flatnonzero(~possible)
+    if len(wrong):
+        step = int(wrong[0])
+        before, after = demonstration.states[step : step + 2].tolist()
+        taken = ""
+        if demonstration.actions is not None:
+            taken = f" by action {demonstration.actions[step].tolist()}"
+        raise ValueError(
+            f"{demonstration.name}: step {step + 1} leads from {before} to {after}{taken}, which "
+            "no transition of the MDP does"
+        )
+
+
+def _only_way(fits: np.ndarray, demonstration: Demonstration) -> np.ndarray:
+    """Return the action [L-1] that alone makes each step, from what fits [L-1, A]."""
+    _check_possible(np.asarray(fits.any(axis=1)), demonstration)
+    several = np.flatnonzero(fits.sum(axis=1) > 1)
+    if len(several):
+        step = int(several[0])
+        raise ValueError(
+            f"{demonstration.name}: step {step + 1} from {demonstration.states[step].tolist()} can "
+            "be made by several actions: the demonstration needs its actions"
+        )
+    return fits.argmax(axis=1)

@@ -1,0 +1,191 @@
+"""Several constraints, one after another: greedy selection (Scobee & Sastry, 2019, Algorithm 2).
+
+With C the constraints picked so far, the next one is the hypothesis c that no demonstration enters
+and that raises the likelihood of the demonstrations most: the one with the largest gain
+
+    - mean_i log P(avoid c | avoid C),    in nats a demonstration,
+
+which is what it takes off KL(demonstrations || pi_C), see `divergence`. It ends where the gain
+falls below a threshold; the pick that gained less is left out.
+
+Shapes: K tasks, H hypotheses, D demonstrations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve import estimators
+from swerve.arguments import whole_number
+from swerve.demonstrations import Demonstration
+from swerve.evidence import Evidence
+from swerve.inference import Inference, infer
+from swerve.nominal import ExactNominal
+from swerve.problem import Problem
+from swerve.rewards import taken_actions, total_reward
+from swerve.sampling import sample
+from swerve.space import Task
+
+TIED = 1e-9  # relative: gains closer than this are one, and the lowest index is taken
+
+Conditional = Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]
+"""Maps hypotheses picked to log Z_C [K], nats, and P(avoid c | avoid C) [K, H]."""
+
+
+class Pick(NamedTuple):
+    """One constraint that was picked.
+
+    Attributes:
+      hypothesis: its index.
+      gain: nats a demonstration that it takes off the KL divergence.
+      log_partition: [K] log Z_C with this one and all before it in force, nats.
+    """
+
+    hypothesis: int
+    gain: float
+    log_partition: np.ndarray
+
+
+def greedy(
+    source: Evidence | ExactNominal,
+    demonstrations: Sequence[Demonstration],
+    *,
+    threshold: float = 0.1,
+    most: int | None = None,
+) -> list[Pick]:
+    """Pick constraints one after another, as long as each explains enough.
+
+    Args:
+      source: sampled evidence, whose trajectories are reweighed for what is picked; or the nominal
+        distribution of an exact solver, which is worked out anew with it in force.
+      demonstrations: at least one.
+      threshold: least gain [nats a demonstration].
+      most: picks at most; any number if None.
+
+    Returns:
+      The picks, in order.
+
+    Raises:
+      ValueError: if there is no demonstration, the threshold is below zero or no number, exact
+        evidence is given in place of its nominal, or a demonstration does not fit.
+    """
+    if not (math.isfinite(threshold) and threshold >= 0.0):
+        raise ValueError(
+            f"threshold: expected a number >= 0 (nats a demonstration), got {threshold}"
+        )
+    most = None if most is None else whole_number(most, "most", 1)
+    if not demonstrations:
+        raise ValueError("demonstrations: expected at least one, got none")
+    if isinstance(source, Evidence):
+        start, conditional = infer(source, demonstrations), _of_samples(source)
+    else:
+        start, conditional = _exact(source, demonstrations)
+    left = np.asarray(~start.entered.any(axis=0))
+    share = start.task_counts / len(demonstrations)
+    picks: list[Pick] = []
+    _, avoid = conditional(())
+    while left.any() and (most is None or len(picks) < most):
+        index, gain = _best(share, avoid, left)
+        if gain < threshold:
+            break
+        log_partition, avoid = conditional((*(pick.hypothesis for pick in picks), index))
+        picks.append(Pick(index, gain, log_partition))
+        left[index] = False
+    return picks
+
+
+def _best(share: np.ndarray, avoid: np.ndarray, left: np.ndarray) -> tuple[int, float]:
+    """Return the hypothesis of the largest gain among those left, and its gain."""
+    used = share > 0
+    with np.errstate(divide="ignore"):
+        gain = -share[used] @ np.log(avoid[used])
+    gain = np.where(left & np.isfinite(gain), gain, -np.inf)  # one that nobody can avoid is none
+    best = gain.max()
+    index = int(np.flatnonzero(gain >= best - TIED * max(1.0, abs(best)))[0])
+    return index, float(gain[index])
+
+
+def _of_samples(evidence: Evidence) -> Conditional:
+    """Return conditionals by leaving out the trajectories that enter what is picked."""
+    if evidence.is_exact:
+        raise ValueError(
+            "source: this evidence is exact and holds no samples to reweigh: give the nominal "
+            "distribution that it came from"
+        )
+    num_hypotheses = len(evidence.problem.hypotheses)
+    bits = evidence.samples.violations
+
+    def conditional(picked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        chosen = np.zeros(num_hypotheses, bool)
+        chosen[list(picked)] = True
+        mask = np.packbits(chosen, bitorder="little")
+        log_partition, avoid = [], []
+        for k, log_weight in enumerate(evidence.log_weight):
+            clean = np.where((bits[k] & mask).any(axis=1), -np.inf, log_weight)
+            if np.isneginf(clean).all():
+                raise ValueError(
+                    f"task {k}: no trajectory is left that avoids all of the {len(picked)} "
+                    "hypotheses picked: sample more, or raise the threshold"
+                )
+            kept = np.exp(estimators.log_partition(clean) - estimators.log_partition(log_weight))
+            log_partition.append(evidence.log_partition[k] + np.log(kept))
+            avoid.append(estimators.avoid_probability(clean, bits[k], num_hypotheses)[0])
+        return np.array(log_partition), np.array(avoid)
+
+    return conditional
+
+
+def _exact(
+    nominal: ExactNominal, demonstrations: Sequence[Demonstration]
+) -> tuple[Inference, Conditional]:
+    """Return the inference to start from, and conditionals by solving anew."""
+    tasks = Task.stack([demonstration.task for demonstration in demonstrations])
+    rows = np.unique(np.hstack(tasks), axis=0)
+    distinct = Task(*np.split(rows, [tasks.start.shape[1]], axis=1))
+
+    def conditional(picked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        answers = [
+            nominal.answer(Task(*task), np.random.default_rng(0), avoiding=picked)
+            for task in zip(*distinct, strict=True)
+        ]
+        return (
+            np.array([answer.log_partition for answer in answers]),
+            np.array([answer.avoid_probability for answer in answers]),
+        )
+
+    return infer(sample(nominal, distinct), demonstrations), conditional
+
+
+def divergence(
+    problem: Problem, demonstrations: Sequence[Demonstration], log_partition: np.ndarray
+) -> float:
+    """Return KL(demonstrations || pi_C) in nats a demonstration.
+
+    It is sum p log p - mean [beta R + log m] + mean log Z_C, where p are the frequencies of the
+    distinct demonstrations among those of their task.
+
+    Args:
+      problem: dynamics and reward.
+      demonstrations: with actions; of a tabular MDP, states alone may do.
+      log_partition: [D] log Z_C of the task of each demonstration, nats.
+
+    Raises:
+      ValueError: if a demonstration lacks actions, or has a step that the MDP does not allow.
+    """
+    log_measure = -math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
+    tasks, paths, terms = [], [], []
+    for demonstration, value in zip(demonstrations, log_partition, strict=True):
+        actions = taken_actions(problem.mdp, demonstration)
+        reward = total_reward(problem.mdp, demonstration, actions)
+        terms.append(value - problem.beta * reward - log_measure * len(actions))
+        task = np.concatenate(demonstration.task).tobytes()
+        tasks.append(task)
+        paths.append((task, demonstration.states.tobytes(), actions.tobytes()))
+    of_task, of_path = Counter(tasks), Counter(paths)
+    log_share = [math.log(of_path[path] / of_task[path[0]]) for path in paths]
+    return float(np.mean(log_share) + np.mean(terms))

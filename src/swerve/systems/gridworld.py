@@ -1,0 +1,143 @@
+"""The gridworld of Scobee & Sastry (2019): cells, walls, features, moves and a goal.
+
+    R(xi) = step_reward * (moves taken),    and every trajectory must reach its goal.
+
+A move that would leave the world, or enter a wall, is not offered. The goal ends the episode.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from swerve.boxes import ActionBox, Box
+from swerve.constraints import Constraint, Union
+from swerve.problem import Problem
+from swerve.space import Task
+from swerve.systems.tabular import NOWHERE, TabularMDP
+
+Cell = tuple[int, int]
+MOVES = {
+    "left": (-1, 0),
+    "right": (1, 0),
+    "up": (0, 1),
+    "down": (0, -1),
+    "up-left": (-1, 1),
+    "up-right": (1, 1),
+    "down-left": (-1, -1),
+    "down-right": (1, -1),
+}
+
+
+class Gridworld(TabularMDP):
+    """A walker in a world of width x height cells, who takes one of eight moves at a time.
+
+    Cell (x, y) is state y * width + x. It is the square of side 1 around the point (x, y).
+
+    Attributes:
+      width: number of columns.
+      height: number of rows.
+      num_steps: T, the most moves.
+      step_reward: of a move, diagonal ones included.
+      walls: cells that cannot be entered.
+      cell_features: (name, cells) pairs, each to be hypothesised as one.
+    """
+
+    width: int = eqx.field(static=True, default=9)
+    height: int = eqx.field(static=True, default=9)
+    num_steps: int = eqx.field(static=True, default=24)
+    step_reward: float = -1.0
+    walls: tuple[Cell, ...] = eqx.field(static=True, default=())
+    cell_features: tuple[tuple[str, tuple[Cell, ...]], ...] = eqx.field(static=True, default=())
+
+    state_names = ("x", "y")
+    action_names = ("dx", "dy")
+    actions = jnp.array(list(MOVES.values()), jnp.float32)
+
+    def __check_init__(self) -> None:
+        """Raise ValueError where a cell is not in the world."""
+        for name, cells in (("walls", self.walls), *self.cell_features):
+            for cell in cells:
+                if not (0 <= cell[0] < self.width and 0 <= cell[1] < self.height):
+                    raise ValueError(
+                        f"Gridworld: {name}: cell {cell} is not in the world of {self.width} x "
+                        f"{self.height} cells"
+                    )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Columns and rows."""
+        return (self.width, self.height)
+
+    @property
+    def successors(self) -> np.ndarray:
+        """[S, A] the cell that each move leads to."""
+        moves = np.array(list(MOVES.values()))
+        ahead = self.states[:, None].astype(int) + moves
+        inside = ((ahead >= 0) & (ahead < np.array(self.shape))).all(axis=-1)
+        index = np.where(inside, ahead[..., 1] * self.width + ahead[..., 0], NOWHERE)
+        blocked = [y * self.width + x for x, y in self.walls]
+        return np.where(np.isin(index, blocked), NOWHERE, index).astype(np.int32)
+
+    @property
+    def rewards(self) -> np.ndarray:
+        """[S, A] the reward of each move."""
+        return np.full((self.num_states, len(MOVES)), self.step_reward)
+
+    def terminated(self, state: Any, goal: Any) -> Any:
+        """Return whether the walker is at the goal."""
+        return self.state_index(state) == self.state_index(goal)
+
+    def terminal_reward(self, state: Any, goal: Any) -> Any:
+        """Return -inf where the goal was not reached."""
+        return jnp.where(self.terminated(state, goal), 0.0, -jnp.inf)
+
+    def sample_task(self, key: Any) -> Task:
+        """Draw two different cells."""
+        start, step = jax.random.split(key)
+        first = jax.random.randint(start, (), 0, self.num_states)
+        second = (first + jax.random.randint(step, (), 1, self.num_states)) % self.num_states
+        states = jnp.asarray(self.states, jnp.float32)
+        return Task(states[first], states[second])
+
+    def hypotheses(self) -> list[Constraint]:
+        """Return every feature, every cell and every move as a constraint, in this order."""
+        return [
+            *(
+                Union(name, [cell_box(cell) for cell in cells])
+                for name, cells in self.cell_features
+            ),
+            *(cell_box((int(x), int(y))) for x, y in self.states),
+            *(move_box(name) for name in MOVES),
+        ]
+
+
+def cell_box(cell: Cell) -> Box:
+    """Return a cell as a constraint."""
+    x, y = cell
+    return Box(x=(x - 0.5, x + 0.5), y=(y - 0.5, y + 0.5))
+
+
+def move_box(name: str) -> ActionBox:
+    """Return a move, such as "up-left", as a constraint."""
+    dx, dy = MOVES[name]
+    return ActionBox(dx=(dx - 0.5, dx + 0.5), dy=(dy - 0.5, dy + 0.5))
+
+
+def gridworld(
+    width: int = 9, height: int = 9, num_steps: int = 24, step_reward: float = -1.0
+) -> Problem:
+    """Return the problem `gridworld`: every cell and every move is hypothesised.
+
+    Args:
+      width: number of columns.
+      height: number of rows.
+      num_steps: the most moves.
+      step_reward: of a move.
+    """
+    mdp = Gridworld(width, height, num_steps, step_reward)
+    return Problem(mdp, mdp.hypotheses(), measure="counting", between_states=False)

@@ -1,0 +1,243 @@
+"""MDPs with finitely many states: tables of successors and rewards.
+
+A state is a point of a lattice, 0 <= s_d < shape_d in each of its components, numbered with the
+first component fastest. A tabular MDP is an MDP like any other, so every solver takes it; the
+tabular solver reads the tables themselves.
+
+Shapes: S states, A actions, n components of a state, g of a goal, L steps of a demonstration.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from swerve.mdp import MDP
+from swerve.space import Task
+
+NOWHERE = -1  # the successor of an action that a state does not offer
+
+
+class TabularMDP(MDP):
+    """A tabular MDP; subclasses provide the tables.
+
+    Attributes:
+      shape: number of values of each component of a state.
+      successors: [S, A] the state that each action leads to, -1 where it is not offered.
+      rewards: [S, A] the reward of each action, in units of reward.
+    """
+
+    if TYPE_CHECKING:  # for a type checker: anything that provides the value will do
+        shape: Any = eqx.field(init=False)
+        successors: Any = eqx.field(init=False)
+        rewards: Any = eqx.field(init=False)
+    else:
+        shape: eqx.AbstractVar[tuple[int, ...]]
+        successors: eqx.AbstractVar[np.ndarray]
+        rewards: eqx.AbstractVar[np.ndarray]
+
+    dt = 1.0
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """A lattice point is in the middle of a cell of side 1."""
+        return tuple((-0.5, size - 0.5) for size in self.shape)
+
+    @property
+    def num_states(self) -> int:
+        """S."""
+        return math.prod(self.shape)
+
+    @property
+    def states(self) -> np.ndarray:
+        """[S, n] the lattice points, by number."""
+        index = np.unravel_index(np.arange(self.num_states), self.shape, order="F")
+        return np.stack(index, axis=-1).astype(float)
+
+    def state_index(self, states: Any) -> Any:
+        """Return the number [...] of states [..., n], NumPy or JAX; beyond the edge, the edge."""
+        xp = states.__array_namespace__()
+        index, stride = 0, 1
+        for component, size in enumerate(self.shape):
+            value = xp.clip(xp.round(states[..., component]), 0, size - 1)
+            index = index + stride * value.astype(xp.int32)
+            stride *= size
+        return index
+
+    def action_index(self, actions: Any) -> Any:
+        """Return the number [...] of the action nearest to each of actions [..., m]."""
+        xp = actions.__array_namespace__()
+        table = xp.asarray(self.actions)
+        return ((actions[..., None, :] - table) ** 2).sum(axis=-1).argmin(axis=-1)
+
+    def dynamics(self, state: Any, action: Any) -> Any:
+        """Return the successor, or the state itself where the action is not offered."""
+        index = self.state_index(state)
+        following = jnp.asarray(self.successors)[index, self.action_index(action)]
+        return jnp.asarray(self.states, state.dtype)[jnp.where(following < 0, index, following)]
+
+    def reward(self, state: Any, action: Any, next_state: Any, goal: Any) -> Any:
+        """Return the reward of the action, -inf where it is not offered."""
+        place = self.state_index(state), self.action_index(action)
+        reward = jnp.asarray(self.rewards, state.dtype)[place]
+        return jnp.where(jnp.asarray(self.successors)[place] < 0, -jnp.inf, reward)
+
+
+class ArrayMDP(TabularMDP):
+    """A tabular MDP made of arrays; see `tabular`.
+
+    Attributes:
+      terminal_rewards: [S] paid where an episode ends.
+      absorbing: [S] states in which an episode ends before the horizon.
+    """
+
+    successors: np.ndarray = eqx.field()
+    rewards: np.ndarray = eqx.field()
+    terminal_rewards: np.ndarray = eqx.field()
+    absorbing: np.ndarray = eqx.field()
+    num_steps: int = eqx.field(static=True)
+
+    state_names = ("state",)
+    action_names = ("action",)
+    goal_names = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The states are numbers."""
+        return (len(self.successors),)
+
+    @property
+    def actions(self) -> Any:
+        """[A, 1] the actions are numbers."""
+        return jnp.arange(self.successors.shape[1], dtype=jnp.float32)[:, None]
+
+    def terminal_reward(self, state: Any, goal: Any) -> Any:
+        """Return what is paid where the episode ends."""
+        return jnp.asarray(self.terminal_rewards, state.dtype)[self.state_index(state)]
+
+    def terminated(self, state: Any, goal: Any) -> Any:
+        """Return whether the state is absorbing."""
+        return jnp.asarray(self.absorbing)[self.state_index(state)]
+
+    def goal_of(self, states: np.ndarray) -> np.ndarray:
+        """Return no goal: there is only one task for each start."""
+        return np.zeros(0)
+
+    def sample_task(self, key: Any) -> Any:
+        """Draw a start."""
+        return Task(jnp.round(MDP.sample_state(self, key)), jnp.zeros(0))
+
+
+def tabular(
+    transitions: Any,
+    rewards: Any,
+    *,
+    num_steps: int,
+    terminal_rewards: Any = None,
+    absorbing: Sequence[int] = (),
+) -> ArrayMDP:
+    """Make an MDP of arrays.
+
+    Its states have one component, `state`, the number; its actions have one, `action`.
+
+    Args:
+      transitions: [S, A] numbers of the successors, -1 where an action is not offered; or [A, S, S]
+        probabilities of 0 and 1, an array or a list of A SciPy sparse matrices, with a row of zeros
+        where an action is not offered.
+      rewards: [S, A] or [S], in units of reward; -inf where an action is forbidden.
+      num_steps: T, the horizon.
+      terminal_rewards: [S] paid where the episode ends; 0 if None, -inf where it must not end.
+      absorbing: states in which an episode ends before the horizon.
+
+    Returns:
+      The MDP.
+
+    Raises:
+      ValueError: if a transition is stochastic or points outside, a reward is NaN or +inf, or
+        shapes do not fit.
+    """
+    successors = _successors(transitions)
+    num_states, num_actions = successors.shape
+    rewards = np.asarray(rewards, float)
+    if rewards.shape == (num_states,):
+        rewards = np.repeat(rewards[:, None], num_actions, axis=1)
+    if terminal_rewards is None:
+        terminal_rewards = np.zeros(num_states)
+    ends = np.zeros(num_states, bool)
+    places = np.asarray(absorbing, int).reshape(-1)
+    if places.size and not (places.min() >= 0 and places.max() < num_states):
+        raise ValueError(f"absorbing: expected states from 0 to {num_states - 1}, got {absorbing}")
+    ends[places] = True
+    return ArrayMDP(
+        successors=successors,
+        rewards=_checked_rewards("rewards", rewards, (num_states, num_actions)),
+        terminal_rewards=_checked_rewards("terminal_rewards", terminal_rewards, (num_states,)),
+        absorbing=ends,
+        num_steps=num_steps,
+    )
+
+
+def _checked_rewards(name: str, rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
+    rewards = np.asarray(rewards, float)
+    if rewards.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {rewards.shape}")
+    wrong = np.argwhere(np.isnan(rewards) | (rewards == np.inf))
+    if len(wrong):
+        place = ", ".join(map(str, wrong[0]))
+        raise ValueError(
+            f"{name}[{place}]: expected a number, or -inf where forbidden, got "
+            f"{rewards[tuple(wrong[0])]}"
+        )
+    return rewards
+
+
+def _successors(transitions: Any) -> np.ndarray:
+    """Return successors [S, A] from any of the forms that `tabular` takes."""
+    is_list = isinstance(transitions, Sequence) and hasattr(transitions[0], "tocsr")
+    if not is_list and np.ndim(transitions) == 2:
+        successors = np.asarray(transitions)
+        outside = np.argwhere((successors < NOWHERE) | (successors >= len(successors)))
+        if not np.issubdtype(successors.dtype, np.integer) or len(outside):
+            place = tuple(outside[0]) if len(outside) else (0, 0)
+            raise ValueError(
+                f"transitions[{place[0]}, {place[1]}]: expected the number of a state, from 0 to "
+                f"{len(successors) - 1}, or -1 where the action is not offered, got "
+                f"{successors[place]}"
+            )
+        return successors.astype(np.int32)
+    if not is_list and np.ndim(transitions) != 3:
+        raise ValueError(
+            "transitions: expected [S, A] successors, [A, S, S] probabilities or a list of A "
+            f"sparse matrices, got shape {np.shape(transitions)}"
+        )
+    return np.stack([_of_matrix(matrix, a) for a, matrix in enumerate(transitions)], axis=1)
+
+
+def _of_matrix(matrix: Any, action: int) -> np.ndarray:
+    """Return successors [S] from the probabilities [S, S] of one action, dense or sparse."""
+    import scipy.sparse
+
+    rows: Any = scipy.sparse.csr_matrix(matrix)
+    rows.eliminate_zeros()
+    num_states = rows.shape[0]
+    if rows.shape != (num_states, num_states):
+        raise ValueError(
+            f"transitions[{action}]: expected a square matrix, one column for each state, got "
+            f"{rows.shape}: a row would point outside"
+        )
+    number = np.diff(rows.indptr)
+    certain = np.zeros(num_states, bool)
+    certain[number == 1] = rows.data[rows.indptr[:-1][number == 1]] == 1.0
+    for state in np.flatnonzero(~certain & (number > 0))[:1]:
+        data = rows.data[rows.indptr[state] : rows.indptr[state + 1]]
+        raise ValueError(
+            f"transitions[{action}, {state}]: expected a single successor of probability 1, got "
+            f"probabilities {data[:5].tolist()}: Swerve needs deterministic transitions (with "
+            "chance in the dynamics, Theorem 1 does not hold)"
+        )
+    successors = np.full(num_states, NOWHERE, np.int32)
+    successors[number == 1] = rows.indices[rows.indptr[:-1][number == 1]]
+    return successors
