@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from swerve.problem import Problem
     from swerve.sampling import sample
     from swerve.selection import Pick, divergence, greedy
+    from swerve.solvers.discrete import Discrete
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
     from swerve.solvers.tabular import Tabular
@@ -43,6 +44,7 @@ _HOMES = {
     "Box": "boxes",
     "Constraint": "constraints",
     "Demonstration": "demonstrations",
+    "Discrete": "solvers.discrete",
     "Evidence": "evidence",
     "Grid": "solvers.grid",
     "Gridworld": "systems.gridworld",
@@ -86,6 +88,7 @@ __all__ = [
     "Box",
     "Constraint",
     "Demonstration",
+    "Discrete",
     "Evidence",
     "Grid",
     "Gridworld",

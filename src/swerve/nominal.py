@@ -17,6 +17,7 @@ from swerve import store
 from swerve.arguments import instance, whole_number
 from swerve.exact import ExactAnswer
 from swerve.problem import Problem
+from swerve.solvers.discrete import Discrete
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
 from swerve.solvers.tabular import Tabular
@@ -116,7 +117,12 @@ class Solver(Protocol):
         ...
 
 
-SOLVERS: dict[str, type[Solver]] = {"grid": Grid, "ppo": PPO, "tabular": Tabular}
+SOLVERS: dict[str, type[Solver]] = {
+    "grid": Grid,
+    "ppo": PPO,
+    "tabular": Tabular,
+    "discrete": Discrete,
+}
 
 
 def learn(

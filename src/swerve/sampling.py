@@ -115,10 +115,11 @@ def _answer_each(
     with progress_bar(nominal.solver.name, len(batch.start), progress) as advance:
         for k in range(len(batch.start)):
             task = Task(batch.start[k], batch.goal[k])
-            key = np.random.default_rng([seed, zlib.crc32(np.concatenate(task).tobytes())])
+            generator = np.random.default_rng([seed, zlib.crc32(np.concatenate(task).tobytes())])
             with _naming(k, task):
-                answer = nominal.answer(task, key, advance)
-            yield k, exact_evidence(record, task, answer, repr(nominal.solver), seed)
+                answer = nominal.answer(task, generator, advance)
+                evidence = exact_evidence(record, task, answer, repr(nominal.solver), seed)
+            yield k, evidence
 
 
 def _sample_each(

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 TWO_PI = 2.0 * math.pi
+LATTICE_EXTENT = 250.0
 
 
 class Task(NamedTuple):
@@ -67,11 +68,13 @@ class StateSpace:
       names: the n state names, each its own, also the columns of demonstration files.
       angles: those of the names that wrap at 2 pi [rad].
       bounds: [n, 2] where states are expected, in the states' own units.
+      is_lattice: whether states are whole numbers.
     """
 
     names: tuple[str, ...]
     angles: tuple[str, ...]
     bounds: np.ndarray
+    is_lattice: bool = False
 
     def __post_init__(self) -> None:
         twice = [name for name in dict.fromkeys(self.names) if self.names.count(name) > 1]
@@ -120,8 +123,12 @@ class StateSpace:
         return cast(Any, xp.where(self.is_angle, wrapped, delta))
 
     def relative_distance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the largest difference [...] between states, each in units of its extent."""
-        return (np.abs(self.difference(a, b)) / self.extent).max(axis=-1)
+        """Return the largest difference [...] between states, each in units of its extent.
+
+        On a lattice of at most LATTICE_EXTENT, so that a thousandth tells neighbours apart.
+        """
+        extent = np.minimum(self.extent, LATTICE_EXTENT) if self.is_lattice else self.extent
+        return (np.abs(self.difference(a, b)) / extent).max(axis=-1)
 
     def to_json(self) -> dict[str, Any]:
         """Return this space as JSON data."""
@@ -129,9 +136,15 @@ class StateSpace:
             "names": list(self.names),
             "angles": list(self.angles),
             "bounds": self.bounds.tolist(),
+            "is_lattice": self.is_lattice,
         }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> StateSpace:
         """Rebuild a space from `to_json` data."""
-        return cls(tuple(data["names"]), tuple(data["angles"]), np.array(data["bounds"]))
+        return cls(
+            tuple(data["names"]),
+            tuple(data["angles"]),
+            np.array(data["bounds"]),
+            data["is_lattice"],
+        )

@@ -59,7 +59,7 @@ class Table:
         return values
 
     def policy(self, step: int, states: Any = slice(None)) -> np.ndarray:
-        """Return pi_t(a | s) [S, A] of all states or some; 0 where one is ended or has no way on."""
+        """Return pi_t(a | s) [S, A] of all states or some; 0 where ended or without a way on."""
         value = self.values[step, states]
         going = np.isfinite(value) & ~self.ended[states]
         ahead = self.reward[states] + self.values[step + 1][self.successors[states]]

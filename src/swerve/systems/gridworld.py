@@ -7,6 +7,7 @@ A move that would leave the world, or enter a wall, is not offered. The goal end
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -76,12 +77,7 @@ class Gridworld(TabularMDP):
     @property
     def successors(self) -> np.ndarray:
         """[S, A] the cell that each move leads to."""
-        moves = np.array(list(MOVES.values()))
-        ahead = self.states[:, None].astype(int) + moves
-        inside = ((ahead >= 0) & (ahead < np.array(self.shape))).all(axis=-1)
-        index = np.where(inside, ahead[..., 1] * self.width + ahead[..., 0], NOWHERE)
-        blocked = [y * self.width + x for x, y in self.walls]
-        return np.where(np.isin(index, blocked), NOWHERE, index).astype(np.int32)
+        return _successors(self.width, self.height, self.walls)
 
     @property
     def rewards(self) -> np.ndarray:
@@ -114,6 +110,20 @@ class Gridworld(TabularMDP):
             *(cell_box((int(x), int(y))) for x, y in self.states),
             *(move_box(name) for name in MOVES),
         ]
+
+
+@functools.lru_cache(maxsize=8)
+def _successors(width: int, height: int, walls: tuple[Cell, ...]) -> np.ndarray:
+    """Return the cell [S, A] that each move leads to, NOWHERE where there is none."""
+    y, x = np.divmod(np.arange(width * height), width)
+    dx, dy = np.array(list(MOVES.values())).T
+    x, y = x[:, None] + dx, y[:, None] + dy
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    index = np.where(inside, y * width + x, NOWHERE)
+    blocked = [wall_y * width + wall_x for wall_x, wall_y in walls]
+    found = np.where(np.isin(index, blocked), NOWHERE, index).astype(np.int32)
+    found.flags.writeable = False  # it is shared
+    return found
 
 
 def cell_box(cell: Cell) -> Box:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve.mdp import MDP
-from swerve.space import Task
+from swerve.space import StateSpace, Task
 
 NOWHERE = -1  # the successor of an action that a state does not offer
 
@@ -45,6 +45,11 @@ class TabularMDP(MDP):
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """A lattice point is in the middle of a cell of side 1."""
         return tuple((-0.5, size - 0.5) for size in self.shape)
+
+    @property
+    def space(self) -> StateSpace:
+        """The state space, a lattice."""
+        return StateSpace(tuple(self.state_names), (), np.asarray(self.bounds, float), True)
 
     @property
     def num_states(self) -> int:

@@ -1,0 +1,145 @@
+"""Discretised dynamics: cells, transitions held for a while, and what they tell."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
+
+from swerve import MDP, Discrete, Gridworld, Problem, Task, grid, learn, sample
+from swerve.solvers.discrete import Cells
+from swerve.solvers.tabular import TableNominal
+from swerve.space import TWO_PI, StateSpace
+
+SPACE = StateSpace(("theta", "x"), ("theta",), np.array([[0.0, TWO_PI], [-2.0, 2.0]]))
+
+
+def test_centres_are_in_their_cells() -> None:
+    cells = Cells(SPACE, (7, 4))
+    np.testing.assert_array_equal(cells.number(cells.centres), np.arange(28))
+    turned = cells.centres + np.array([4 * np.pi, 0.0])
+    np.testing.assert_array_equal(cells.number(turned), np.arange(28))
+    beyond = np.array([[0.1, -9.0], [0.1, 9.0]])
+    np.testing.assert_array_equal(cells.number(beyond), [0, 3])
+
+
+@pytest.mark.parametrize(
+    ("problem", "task", "tolerance"),
+    [(short_pendulum(), PENDULUM_TASK, 0.08), (short_cart(), CART_TASK, 0.1)],
+)
+def test_fine_cells_come_near_the_exact_answer(
+    problem: Problem, task: Task, tolerance: float
+) -> None:
+    """And nearer than coarse ones; several hypotheses are neither certain nor rare."""
+    exact = enumerate_exactly(problem, task.start, task.goal)
+    assert np.count_nonzero(np.abs(exact.violation_probability - 0.5) < 0.4) >= 3
+    errors = []
+    for num_cells in (8, 160):
+        nominal = learn(problem, Discrete(num_cells=num_cells, hold=1))
+        evidence = sample(nominal, task)
+        errors.append(np.abs(evidence.violation_probability[0] - exact.violation_probability).max())
+    assert errors[1] < tolerance
+    assert errors[1] < errors[0] / 2
+    assert evidence.log_partition[0] == pytest.approx(exact.log_partition, abs=0.1)
+
+
+def test_a_gridworld_of_cells_is_the_gridworld() -> None:
+    """Cells around the lattice points, moves from centre to centre: the tabular answer."""
+    world = Gridworld(width=4, height=3, num_steps=5, walls=((1, 1),))
+    problem = Problem(world, world.hypotheses(), measure="counting", between_states=False)
+    task = Task(np.zeros(2), np.array([3.0, 2.0]))
+    exact = sample(learn(problem, "tabular"), task)
+    cells = sample(learn(problem, Discrete(num_cells=(4, 3), hold=1)), task)
+    np.testing.assert_allclose(cells.log_partition, exact.log_partition, rtol=1e-6)
+    np.testing.assert_allclose(
+        cells.summary.avoid_probability, exact.summary.avoid_probability, atol=1e-9
+    )
+
+
+class Wind(MDP):
+    """Carried along a line, faster further on."""
+
+    state_names = ("x",)
+    action_names = ("push",)
+    actions = np.array([[0.0], [1.0]])
+    bounds = ((0.0, 8.0),)
+    dt = 1.0
+    num_steps = 4
+
+    def dynamics(self, state, action):
+        return state + 0.3 * state + action
+
+    def reward(self, state, action, next_state, goal):
+        return -next_state[0]
+
+
+@pytest.mark.parametrize("hold", [1, 2])
+def test_an_action_is_held_and_its_rewards_are_added(hold: int) -> None:
+    problem = Problem(Wind(), grid(x=(0.0, 8.0, 8)))
+    nominal = learn(problem, Discrete(num_cells=8, hold=hold))
+    assert isinstance(nominal, TableNominal)
+    table = nominal.goal_table(np.zeros(1))
+    assert table.num_steps == 4 // hold
+    ends, earned = [], []
+    for centre in np.arange(8) + 0.5:
+        for push in (0.0, 1.0):
+            x, total = centre, 0.0
+            for _ in range(hold):
+                x = 1.3 * x + push
+                total -= x
+            ends.append(min(int(x), 7))
+            earned.append(total - np.log(2.0))
+    np.testing.assert_array_equal(table.successors.ravel(), ends)
+    np.testing.assert_allclose(table.reward.ravel(), earned, rtol=1e-5)
+
+
+def test_the_majority_of_a_cell_may_go_elsewhere_than_its_centre() -> None:
+    class Step(Wind):
+        """Only the very middle of a cell stays."""
+
+        def dynamics(self, state, action):
+            middle = jnp.abs(state % 1.0 - 0.5) < 0.1
+            return state + jnp.where(middle, 0.0, 1.0) * (action + 1.0) * 0.999
+
+    problem = Problem(Step(), grid(x=(0.0, 8.0, 8)))
+    tables = {}
+    for rule in ("centre", "majority"):
+        nominal = learn(problem, Discrete(num_cells=8, hold=1, rule=rule))
+        assert isinstance(nominal, TableNominal)
+        tables[rule] = nominal.table.successors[2].tolist()
+    assert tables == {"centre": [2, 2], "majority": [3, 4]}
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rule": "nearest"}, r"Discrete: rule: expected one of .*, got 'nearest'"),
+        ({"num_cells": 2.5}, r"Discrete: num_cells: expected a whole number"),
+        ({"num_cells": (3, 0)}, r"Discrete: num_cells: .* >= 1, got 0"),
+        ({"hold": -1}, r"Discrete: hold: .* >= 0, got -1"),
+    ],
+)
+def test_settings_are_checked(settings: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Discrete(**settings)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"one number for each of the states x, v, got \(8,\)"):
+        learn(short_cart(), Discrete(num_cells=(8,)))
+    with pytest.raises(ValueError, match=r"need .* GiB, more than 8 GiB"):
+        learn(short_cart(), Discrete(num_cells=30_000))
+
+    class Wide(Wind):
+        state_names = ("a", "b", "c", "d", "e")
+        bounds = ((0.0, 1.0),) * 5
+
+        def reward(self, state, action, next_state, goal):
+            return -next_state[0]
+
+        def dynamics(self, state, action):
+            return state
+
+    with pytest.raises(ValueError, match="at most 4 state dimensions, Wide has 5"):
+        learn(Problem(Wide(), grid(a=(0.0, 1.0, 2))), "discrete")

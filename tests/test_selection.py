@@ -1,0 +1,134 @@
+"""Greedy selection and the KL divergence of demonstrations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from reference import CART_TASK, short_cart
+from synthetic import evidence_of_columns, make_demonstration
+
+from swerve import Demonstration, Gridworld, Problem, Task, divergence, greedy, grid, learn, sample
+from swerve.solvers.tabular import TableNominal
+from swerve.space import Actions
+from swerve.systems.gridworld import MOVES
+
+WORLD = Gridworld(width=4, height=3, num_steps=5, cell_features=(("wet", ((1, 0), (2, 0))),))
+PROBLEM = Problem(WORLD, WORLD.hypotheses(), measure="counting", between_states=False)
+TASK = Task(np.array([0.0, 0.0]), np.array([3.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def nominal() -> TableNominal:
+    found = learn(PROBLEM, "tabular")
+    assert isinstance(found, TableNominal)
+    return found
+
+
+def walk(*names: str) -> Demonstration:
+    """Go from the start by moves."""
+    moves = np.array([MOVES[name] for name in names], float)
+    states = np.concatenate([TASK.start[None], TASK.start + moves.cumsum(axis=0)])
+    return Demonstration("-".join(names), states, TASK, actions=moves)
+
+
+ROUND = walk("up", "right", "right", "down-right")
+
+
+def test_picks_raise_the_likelihood_most_and_take_it_off_the_divergence(
+    nominal: TableNominal,
+) -> None:
+    picks = greedy(nominal, [ROUND], threshold=0.01)
+    assert len(picks) >= 3
+    before = nominal.log_partition(TASK, [()])[0]
+    for k, pick in enumerate(picks):
+        chosen = [earlier.hypothesis for earlier in picks[:k]]
+        left = [h for h in range(len(PROBLEM.hypotheses)) if h not in chosen]
+        after = nominal.log_partition(TASK, [(*chosen, h) for h in left])
+        possible = [
+            value
+            for h, value in zip(left, after, strict=True)
+            if np.isfinite(value) and not _enters(h)
+        ]
+        assert pick.log_partition[0] == pytest.approx(min(possible), abs=1e-12)
+        assert pick.gain == pytest.approx(before - min(possible), abs=1e-9)
+        before = min(possible)
+    start, end = (
+        divergence(PROBLEM, [ROUND], np.array([value]))
+        for value in (nominal.log_partition(TASK, [()])[0], picks[-1].log_partition[0])
+    )
+    assert start - end == pytest.approx(sum(pick.gain for pick in picks), abs=1e-9)
+
+
+def _enters(hypothesis: int) -> bool:
+    constraint = PROBLEM.hypotheses.constraint(hypothesis)
+    if constraint.about_actions:
+        assert ROUND.actions is not None
+        return bool(constraint.forbids(Actions(("dx", "dy"), ROUND.actions)).any())
+    return bool(constraint.contains(ROUND.states, WORLD.space).any())
+
+
+def test_the_threshold_ends_it_and_its_pick_is_left_out(nominal: TableNominal) -> None:
+    every = greedy(nominal, [ROUND], threshold=0.0)
+    gains = [pick.gain for pick in every]
+    least = 0.5 * (gains[1] + gains[2])
+    some = greedy(nominal, [ROUND], threshold=least)
+    assert [pick.hypothesis for pick in some] == [
+        pick.hypothesis for pick in every if pick.gain >= least
+    ]
+    assert len(greedy(nominal, [ROUND], threshold=0.0, most=2)) == 2
+
+
+def test_divergence_by_hand() -> None:
+    """Two of three alike, each 3 or 4 moves at a reward of -1, log Z = -2."""
+    straight = walk("right", "right", "right")
+    found = divergence(PROBLEM, [straight, straight, ROUND], np.full(3, -2.0))
+    entropy = 2 / 3 * math.log(2 / 3) + 1 / 3 * math.log(1 / 3)
+    assert found == pytest.approx(entropy + (3 + 3 + 4) / 3 - 2.0)
+
+
+def test_actions_of_a_tabular_mdp_are_found_from_its_transitions() -> None:
+    bare = Demonstration("bare", ROUND.states, TASK)
+    value = np.array([-2.0])
+    assert divergence(PROBLEM, [bare], value) == divergence(PROBLEM, [ROUND], value)
+
+
+def test_an_impossible_transition_names_the_step() -> None:
+    states = ROUND.states.copy()
+    states[2] = [3.0, 2.0]
+    for actions in (None, ROUND.actions):
+        jump = Demonstration("jump", states, TASK, actions=actions)
+        with pytest.raises(ValueError, match=r"jump: step 2 leads from \[0.0, 1.0\] to \[3.0, 2.0"):
+            divergence(PROBLEM, [jump], np.zeros(1))
+
+
+def test_sampled_greedy_leaves_out_what_enters_the_picks() -> None:
+    """Cell 5 is entered by half, cell 6 by the same half, cell 7 by a quarter of the others."""
+    columns = np.zeros((1, 400, 10), bool)
+    columns[0, :200, 5] = columns[0, :199, 6] = True
+    columns[0, 200:250, 7] = True
+    picks = greedy(evidence_of_columns(columns, grid(x=(0.0, 10.0, 10))), [make_demonstration()])
+    assert [pick.hypothesis for pick in picks] == [5, 7]
+    np.testing.assert_allclose(
+        [pick.gain for pick in picks], [math.log(2.0), -math.log(0.75)], rtol=1e-6
+    )
+    kept = [pick.log_partition[0] - picks[0].log_partition[0] for pick in picks]
+    np.testing.assert_allclose(kept, [0.0, math.log(0.75)], atol=1e-6)
+
+
+def test_bad_arguments(nominal: TableNominal) -> None:
+    for threshold in (-0.1, math.nan, math.inf):
+        with pytest.raises(
+            ValueError, match=f"threshold: expected a number >= 0 .* got {threshold}"
+        ):
+            greedy(nominal, [ROUND], threshold=threshold)
+    with pytest.raises(ValueError, match="demonstrations: expected at least one, got none"):
+        greedy(nominal, [])
+    with pytest.raises(ValueError, match=r"this evidence is exact .* give the nominal"):
+        greedy(sample(nominal, TASK), [ROUND])
+    evidence = sample(learn(short_cart(), "grid?num_points=41"), CART_TASK, 100)
+    bare = Demonstration("bare", np.array([[0.6, 0.3], [0.5, -0.2]]), CART_TASK)
+    greedy(evidence, [bare])
+    with pytest.raises(ValueError, match="bare: expected actions force, got none"):
+        divergence(short_cart(), [bare], np.zeros(1))
