@@ -105,7 +105,7 @@ class TestSettings:
         (11.3, 0.97, "11 ± 1"),
         (11.3, 14.0, "11 ± 14"),
         (0.107, 0.0003, "0.1070 ± 0.0003"),
-        (0.0, 0.0, "0.0000 ± 0.0000"),
+        (11.312, 0.0, "11.31"),
     ],
 )
 def test_a_score_ends_at_the_first_digit_of_its_error(value, error, text) -> None:

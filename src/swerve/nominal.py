@@ -127,7 +127,7 @@ SOLVERS: dict[str, type[Solver]] = {
 
 def learn(
     problem: Problem,
-    solver: str | Solver = "grid",
+    solver: str | Solver | None = None,
     *,
     tasks: Task | None = None,
     seed: int = 0,
@@ -139,7 +139,8 @@ def learn(
     Args:
       problem: what to learn it for.
       solver: a solver such as `swerve.PPO(num_steps=20_000_000)`, or its name, with parameters as
-        in "ppo?num_steps=2e7".
+        in "ppo?num_steps=2e7"; None takes tables if the MDP is tabular, else the grid for up to 3
+        state dimensions, else PPO.
       tasks: those on which solvers that train report their progress; drawn from the MDP if None.
       seed: of everything random.
       progress: whether to show a progress bar.
@@ -158,6 +159,8 @@ def learn(
         "problem",
         "make one with swerve.Problem or swerve.load_problem('pendulum')",
     )
+    if solver is None:
+        solver = default_solver(problem)
     chosen = resolve_solver(solver) if isinstance(solver, str) else solver
     if isinstance(chosen, type) or not isinstance(chosen, Solver):
         raise ValueError(

@@ -112,7 +112,7 @@ def _answer_each(
     seed = whole_number(seed, "seed", 0)
     batch = checked_tasks(nominal.problem, tasks)
     record = nominal.problem.record
-    with progress_bar(nominal.solver.name, len(batch.start), progress) as advance:
+    with progress_bar("working out", len(batch.start), progress) as advance:
         for k in range(len(batch.start)):
             task = Task(batch.start[k], batch.goal[k])
             generator = np.random.default_rng([seed, zlib.crc32(np.concatenate(task).tobytes())])

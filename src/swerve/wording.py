@@ -131,7 +131,9 @@ def score(inference: Inference, index: int) -> str:
 
 
 def measured(value: float, error: float) -> str:
-    """Return for example '13.4 ± 0.1', to the first digit of the standard error."""
+    """Return for example '13.4 ± 0.1', to the first digit of the error; '13.42' if it has none."""
+    if error == 0.0:
+        return f"{value:.2f}"
     digits = 4 if error < 1e-4 else max(0, -math.floor(math.log10(float(f"{error:.0e}"))))
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
