@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from swerve.sampling import sample
     from swerve.selection import Pick, divergence, greedy
     from swerve.solvers.discrete import Discrete
+    from swerve.solvers.enumeration import Enumeration
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
     from swerve.solvers.tabular import Tabular
@@ -45,6 +46,7 @@ _HOMES = {
     "Constraint": "constraints",
     "Demonstration": "demonstrations",
     "Discrete": "solvers.discrete",
+    "Enumeration": "solvers.enumeration",
     "Evidence": "evidence",
     "Grid": "solvers.grid",
     "Gridworld": "systems.gridworld",
@@ -89,6 +91,7 @@ __all__ = [
     "Constraint",
     "Demonstration",
     "Discrete",
+    "Enumeration",
     "Evidence",
     "Grid",
     "Gridworld",

@@ -32,7 +32,7 @@ from swerve.constraints import (
 from swerve.grid_axis import GridAxis
 from swerve.space import Actions, StateSpace
 
-BLOCK = 256  # trajectories judged at once: what is worked out for them stays in cache
+BLOCK = 1 << 16  # states judged at once: what is worked out for them stays in cache
 
 
 class HypothesisSet(ABC):
@@ -143,9 +143,10 @@ class GridHypotheses(HypothesisSet):
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]; the cost is that of the lines crossed, not of H."""
         bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
-        for first in range(0, len(states), BLOCK):
-            block = np.asarray(states[first : first + BLOCK], np.float64)
-            self._judge(bits[first : first + BLOCK], block, space, between_states)
+        size = max(1, BLOCK // states.shape[1])
+        for first in range(0, len(states), size):
+            block = np.asarray(states[first : first + size], np.float64)
+            self._judge(bits[first : first + size], block, space, between_states)
         return bits
 
     def _judge(

@@ -18,6 +18,7 @@ from swerve.arguments import instance, whole_number
 from swerve.exact import ExactAnswer
 from swerve.problem import Problem
 from swerve.solvers.discrete import Discrete
+from swerve.solvers.enumeration import Enumeration
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
 from swerve.solvers.tabular import Tabular
@@ -122,6 +123,7 @@ SOLVERS: dict[str, type[Solver]] = {
     "ppo": PPO,
     "tabular": Tabular,
     "discrete": Discrete,
+    "enumeration": Enumeration,
 }
 
 

@@ -1,0 +1,234 @@
+"""Break the library on purpose, one place at a time, and see that a test notices.
+
+    python tests/mutation_check.py [--write docs/testing.md]
+
+Each mutant replaces one piece of text in a copy of the sources and runs one test module, stopping
+at its first failure. A mutant that survives is a hole in the tests: the exit status is then 1. The
+table of docs/testing.md between the two markers is what --write writes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+MARKERS = "<!-- mutants -->\n", "<!-- end of mutants -->\n"
+
+
+class Mutant(NamedTuple):
+    """One place where the library is broken.
+
+    Attributes:
+      what: is done wrong.
+      file: in src/swerve.
+      right: text, found there exactly once.
+      wrong: what stands there instead.
+      tests: a test module, with -k as in "test_space -k difference".
+    """
+
+    what: str
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+MUTANTS = (
+    Mutant(
+        "drop the entropy term: PPO's reward leaves the action's log-probability out",
+        "solvers/ppo_training.py",
+        "reward = earned - log_probability - offset",
+        "reward = earned - offset",
+        "test_ppo -k entropy",
+    ),
+    Mutant(
+        "drop the entropy of the tabular value: the best action in place of the log-sum",
+        "solvers/table.py",
+        "return finite + np.log(np.exp(values - finite[:, None]).sum(axis=-1))",
+        "return finite + 0.0 * np.log(np.exp(values - finite[:, None]).sum(axis=-1))",
+        "test_tabular",
+    ),
+    Mutant(
+        "forget to wrap angles",
+        "space.py",
+        "wrapped = delta - TWO_PI * xp.round(delta / TWO_PI)",
+        "wrapped = delta",
+        "test_space",
+    ),
+    Mutant(
+        "count one step too many (the start state twice)",
+        "trajectory.py",
+        "carry.length + active,",
+        "carry.length + active + (step == 0),",
+        "test_grid_solver -k early_termination",
+    ),
+    Mutant(
+        "use beta twice",
+        "samples.py",
+        "beta=problem.beta,",
+        "beta=problem.beta**2,",
+        "test_grid_solver -k pendulum_agrees",
+    ),
+    Mutant(
+        "ignore early termination",
+        "trajectory.py",
+        "ended = mdp.terminated(next_state, goal) | (step == mdp.num_steps - 1)",
+        "ended = step == mdp.num_steps - 1",
+        "test_trajectory",
+    ),
+    Mutant(
+        "pay the terminal reward at the horizon alone",
+        "trajectory.py",
+        "jnp.where(ended, mdp.terminal_reward(next_state, goal), 0.0)",
+        "jnp.where(step == mdp.num_steps - 1, mdp.terminal_reward(next_state, goal), 0.0)",
+        "test_trajectory",
+    ),
+    Mutant(
+        "forget the base measure in the grid's soft value",
+        "solvers/grid.py",
+        'math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0',
+        "0.0",
+        "test_grid_solver -k soft_value",
+    ),
+    Mutant(
+        "judge the states alone where segments count",
+        "constraints.py",
+        "if between_states and states.shape[-2] > 1:",
+        "if False:",
+        "test_constraints",
+    ),
+    Mutant(
+        "close the upper side of a box",
+        "boxes.py",
+        "(low <= value) & (value < high)\n        return inside\n\n    def crosses",
+        "(low <= value) & (value <= high)\n        return inside\n\n    def crosses",
+        "test_constraints",
+    ),
+    Mutant(
+        "let trajectories through known constraints",
+        "trajectory.py",
+        "return Step(next_state, jnp.where(forbidden, -jnp.inf, reward), ended | forbidden)",
+        "return Step(next_state, reward, ended)",
+        "test_trajectory",
+    ),
+    Mutant(
+        "draw the action before the one that the uniform number falls on",
+        "trajectory.py",
+        "action = jnp.sum(uniform * cumulative[-1] >= cumulative[:-1])",
+        "action = jnp.maximum(jnp.sum(uniform * cumulative[-1] >= cumulative[:-1]) - 1, 0)",
+        "test_trajectory",
+    ),
+    Mutant(
+        "strike a hypothesis out only when every demonstration enters it",
+        "inference.py",
+        "return np.asarray(self.entered.any(axis=0)) | self.impossible",
+        "return np.asarray(self.entered.all(axis=0)) | self.impossible",
+        "test_inference",
+    ),
+    Mutant(
+        "count each task once, however many demonstrations it has",
+        "inference.py",
+        "return np.bincount(self.task_of, minlength=self.evidence.num_tasks)",
+        "return np.minimum(np.bincount(self.task_of, minlength=self.evidence.num_tasks), 1)",
+        "test_inference",
+    ),
+    Mutant(
+        "use the same random numbers in every iteration of PPO",
+        "solvers/ppo_training.py",
+        "jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)",
+        "jax.random.key(self.seed + 1)",
+        "test_ppo -k agrees",
+    ),
+    Mutant(
+        "keep the pick that gains less than the threshold",
+        "selection.py",
+        "        if gain < threshold:\n            break\n",
+        "        if picks and picks[-1].gain < threshold:\n            break\n",
+        "test_selection",
+    ),
+    Mutant(
+        "forget the rewards of all but the last step for which an action is held",
+        "solvers/discrete.py",
+        "earned = earned + jnp.where(ended, 0.0, reward)",
+        "earned = jnp.where(ended, earned, reward)",
+        "test_discrete -k held",
+    ),
+    Mutant(
+        "carry on with what has entered a hypothesis",
+        "solvers/table.py",
+        "clean = self.arrivals @ np.where(stays, moved, 0.0)",
+        "clean = self.arrivals @ moved",
+        "test_tabular",
+    ),
+    Mutant(
+        "weigh all trajectories alike where weights are asked for",
+        "samples.py",
+        'used = equalise(log_weight) if method == "plain" else log_weight',
+        "used = equalise(log_weight)",
+        "test_evidence",
+    ),
+)
+
+
+def caught_by(mutant: Mutant) -> str | None:
+    """Return the first test that fails on a mutant, or None if it survives.
+
+    Raises:
+      ValueError: if the text to replace is not there exactly once.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "src"
+        shutil.copytree(ROOT / "src", copy)
+        path = copy / "swerve" / mutant.file
+        text = path.read_text()
+        if text.count(mutant.right) != 1:
+            raise ValueError(
+                f"{mutant.file}: expected once, found {text.count(mutant.right)} times:"
+                f" {mutant.right!r}"
+            )
+        path.write_text(text.replace(mutant.right, mutant.wrong))
+        module, *options = mutant.tests.split()
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+        done = subprocess.run(
+            [*command, "-W", "default", f"tests/{module}.py", *options],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": str(copy)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        failed = re.search(r"^(?:FAILED|ERROR) tests/(\S+)", done.stdout, re.MULTILINE)
+        return failed[1] if failed else None
+
+
+def main() -> None:
+    """Try every mutant and print which test catches it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--write", type=Path, help="page whose table to write")
+    page = parser.parse_args().write
+    rows = ["| what is done wrong | where | caught by |", "|---|---|---|"]
+    survivors = 0
+    for mutant in MUTANTS:
+        test = caught_by(mutant)
+        survivors += test is None
+        print(f"{'SURVIVES' if test is None else 'caught'}: {mutant.what} [{mutant.file}] {test}")
+        rows.append(f"| {mutant.what} | `{mutant.file}` | `{test}` |")
+    print(f"{len(MUTANTS) - survivors} of {len(MUTANTS)} mutants caught")
+    if page is not None:
+        first, last = MARKERS
+        before, _, rest = page.read_text().partition(first)
+        after = rest.partition(last)[2]
+        page.write_text(before + first + "\n".join(rows) + "\n" + last + after)
+    sys.exit(1 if survivors else 0)
+
+
+if __name__ == "__main__":
+    main()
