@@ -209,7 +209,16 @@ def write_text(path: AnyPath, text: str) -> None:
     Raises:
       OSError: if the folder cannot be written; then the file that was there is still there.
     """
-    _replace(Path(path), lambda file: file.write(text.encode()))
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: AnyPath, content: bytes) -> None:
+    """Write any file, atomically; its folder is created if need be.
+
+    Raises:
+      OSError: if the folder cannot be written; then the file that was there is still there.
+    """
+    _replace(Path(path), lambda file: file.write(content))
 
 
 def read_json(path: AnyPath) -> Any:

@@ -58,9 +58,22 @@ def read_golden(path: Path) -> Golden:
       ValueError: if it is not of this form.
     """
     try:
-        return _golden(json.loads(path.read_text()))
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        golden = _golden(json.loads(path.read_text()))
+        most = max(golden.sizes, default=0)
+    except (KeyError, TypeError, IndexError, ValueError) as error:
         raise ValueError(f"{path}: not of the form of a golden.json: {error!r}") from error
+    for k, (demonstrations, selected) in enumerate(zip(golden.sets, golden.selected, strict=True)):
+        if len(demonstrations) < most:
+            raise ValueError(
+                f"{path}: set {k}: expected {most} demonstrations, the largest of "
+                f"num_demonstrations, got {len(demonstrations)}"
+            )
+        if len(selected) != len(golden.sizes):
+            raise ValueError(
+                f"{path}: set {k}: expected picks for each of {len(golden.sizes)} sizes, got "
+                f"{len(selected)}"
+            )
+    return golden
 
 
 def _golden(data: dict[str, Any]) -> Golden:

@@ -1,0 +1,349 @@
+"""Published results: golden output is told from altered output; figures show what was measured."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import Run
+from matplotlib.collections import QuadMesh
+from matplotlib.image import imread
+from matplotlib.patches import Rectangle
+
+from swerve.inference import infer
+from swerve.reproduce import gridworld, gridworld_figures
+from swerve.reproduce.golden import compare, kl_after, read_golden
+from swerve.reproduce.gridworld import Picked
+from swerve.rewards import taken_actions
+from swerve.sampling import sample
+from swerve.selection import greedy
+from swerve.solvers.tabular import Tabular
+from swerve.space import Actions, Task
+from swerve.systems.gridworld import MOVES, Gridworld
+
+ROOT = Path(__file__).resolve().parents[1]
+
+WORLD = {
+    "width": 4,
+    "height": 3,
+    "start": 0,
+    "goal": 3,
+    "action_delta": [list(MOVES[name]) for name in reversed(MOVES)],  # not the order of Swerve
+    "reward_per_action": -2.0,
+    "horizon": 10,
+    "feature_1_states": [9, 10],
+    "feature_2_states": [1, 5],
+    "threshold": 0.05,
+    "true_constraints": {"states": [6], "actions": [0], "features": [2]},
+}
+SIZES = [1, 3, 8]
+KINDS = [*(["feature"] * 2), *(["state"] * 12), *(["action"] * 8)]
+VALUES = [1, 2, *range(12), *reversed(range(8))]  # of the hypotheses, as the file counts them
+
+
+@pytest.fixture(scope="module")
+def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small file of golden output, whose demonstrations and picks are the tabular solver's."""
+    path = tmp_path_factory.mktemp("golden") / "golden.json"
+    path.write_text(json.dumps({"world": WORLD, "num_demonstrations": SIZES, "sets": []}))
+    world = read_golden(path)
+    made = gridworld.draw(world.problem, world.task, world.truth, np.random.default_rng(1))[:8]
+    moves = [tuple(MOVES[name]) for name in reversed(MOVES)]
+    nominal = Tabular().learn(world.problem)
+    selected = []
+    for size in SIZES:
+        picks = greedy(nominal, made[:size], threshold=world.threshold)
+        after = kl_after(world.problem, made[:size], picks).tolist()
+        indices = [pick.hypothesis for pick in picks]
+        selected.append(
+            [
+                {"type": KINDS[index], "value": VALUES[index], "kl": kl}
+                for index, kl in zip(indices, after, strict=True)
+            ]
+        )
+    found = {
+        "states": [(d.states @ [1, 4]).astype(int).tolist() for d in made],
+        "actions": [
+            [moves.index((int(x), int(y))) for x, y in taken_actions(world.problem.mdp, d)]
+            for d in made
+        ],
+        "selected": selected,
+    }
+    path.write_text(json.dumps({"world": WORLD, "num_demonstrations": SIZES, "sets": [found]}))
+    return path
+
+
+def altered(golden: Path, folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Write the golden output with a change to its data."""
+    data = json.loads(golden.read_text())
+    change(data)
+    path = folder / "altered.json"
+    path.write_text(json.dumps(data))
+    return path
+
+
+def alter_pick(data: dict[str, Any]) -> None:
+    pick = data["sets"][0]["selected"][1][-1]
+    pick.update(type="state", value=11 if pick["value"] != 11 else 10)
+
+
+def alter_kl(data: dict[str, Any]) -> None:
+    data["sets"][0]["selected"][2][0]["kl"] += 1e-6
+
+
+def test_golden_output_is_told_from_altered_output(golden: Path, tmp_path: Path) -> None:
+    same, number, error = compare(read_golden(golden))
+    assert (same, number) == (3, 3)
+    assert error < 1e-12
+    same, number, error = compare(read_golden(altered(golden, tmp_path, alter_pick)))
+    assert (same, number) == (2, 3)
+    assert error < 1e-12
+    same, number, error = compare(read_golden(altered(golden, tmp_path, alter_kl)))
+    assert (same, number) == (3, 3)
+    assert error == pytest.approx(1e-6, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "said"),
+    [
+        (lambda data: None, 0, "3 of 3 sequences"),
+        (alter_pick, 1, "2 of 3 sequences"),
+        (alter_kl, 1, "largest KL error 1e-06"),
+    ],
+)
+def test_exit_status_of_the_comparison(
+    golden: Path, tmp_path: Path, change: Callable[[dict[str, Any]], object], status: int, said: str
+) -> None:
+    script = ROOT / "experiments" / "gridworld" / "golden.py"
+    command = [sys.executable, script, altered(golden, tmp_path, change)]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == status, ended.stderr
+    assert said in ended.stdout
+
+
+def test_real_golden_output(shared_data: Path) -> None:
+    world = read_golden(shared_data / "gridworld" / "golden.json")
+    assert len(world.truth) == 9
+    same, number, error = compare(gridworld.at_sizes(world, [10]))
+    assert (same, number) == (5, 5)
+    assert error < 1e-12
+    result = gridworld.measure(gridworld.at_sizes(world, [2, 5]))
+    assert result.agreement is not None
+    assert result.agreement[:2] == (10, 10)
+    assert result.agreement.error < 1e-12
+    assert result.golden is not None
+    place = result.curves.thresholds.index(0.1)
+    np.testing.assert_array_equal(result.curves.num_false[place], result.golden.num_false[0])
+    np.testing.assert_allclose(result.curves.kl[place], result.golden.kl[0], atol=1e-12)
+    np.testing.assert_allclose(result.golden.num_false[0].mean(axis=0), [2.2, 1.2])
+
+
+def test_cutting_a_sequence_is_picking_with_the_larger_threshold() -> None:
+    world = gridworld.own_world()
+    nominal = Tabular().learn(world.problem)
+    for size in (1, 10):
+        used = world.sets[0][:size]
+        longest = gridworld.pick(nominal, used, 0.01)
+        lengths = []
+        for threshold in gridworld.THRESHOLDS:
+            picks = greedy(nominal, used, threshold=threshold)
+            found = gridworld.cut(longest, threshold)
+            assert found.hypotheses == [pick.hypothesis for pick in picks]
+            assert found.gains == [pick.gain for pick in picks]
+            np.testing.assert_array_equal(found.kl[1:], kl_after(world.problem, used, picks))
+            assert found.kl[0] - found.kl[-1] == pytest.approx(sum(found.gains))
+            lengths.append(len(picks))
+        assert 0 < lengths[0] < lengths[1] < lengths[2]
+
+
+def test_a_cut_ends_at_the_first_small_gain() -> None:
+    picked = Picked([7, 8, 9], [2.0, 0.5, 3.0], [6.0, 4.0, 3.5, 0.5])
+    assert gridworld.cut(picked, 0.5) == picked
+    assert gridworld.cut(picked, 1.0) == Picked([7], [2.0], [6.0, 4.0])
+    assert gridworld.cut(picked, 4.0) == Picked([], [], [6.0])
+
+
+def test_false_positives_are_picks_that_are_not_true() -> None:
+    world = gridworld.own_world()._replace(truth=frozenset({3, 5}), sizes=[1, 2])
+    picked = [
+        [Picked([3, 4, 5], [9.0] * 3, [4.0, 3.0, 2.0, 1.0]), Picked([], [], [4.0])],
+        [Picked([6, 7], [9.0] * 2, [5.0, 4.0, 3.0]), Picked([5], [9.0], [2.0, 1.5])],
+    ]
+    found = gridworld.curves([picked], world, [0.1])
+    assert found.num_picks.tolist() == [[[3, 0], [2, 1]]]
+    assert found.num_false.tolist() == [[[1, 0], [2, 0]]]
+    assert found.false_rate.tolist() == [[[1 / 3, 0.0], [1.0, 0.0]]]
+    assert found.kl.tolist() == [[[1.0, 4.0], [3.0, 1.5]]]
+
+
+def test_own_demonstrations_are_drawn_from_the_constrained_distribution() -> None:
+    world = gridworld.own_world(seed=3)
+    nominal = Tabular().learn(world.problem)
+    start = np.random.default_rng(0)
+    exact = 1.0 - nominal.answer(world.task, start, avoiding=sorted(world.truth)).avoid_probability
+    every = [demonstration for drawn in world.sets for demonstration in drawn]
+    evidence = sample(nominal, Task(*(end[None] for end in world.task)))
+    entered = infer(evidence, every).entered
+    assert entered.shape == (500, len(world.problem.hypotheses))
+    assert not entered[:, sorted(world.truth)].any()
+    error = np.sqrt(exact * (1.0 - exact) / len(every))
+    telling = error > 0.005  # what is hardly ever or nearly always entered is not normal
+    assert telling.sum() > 15
+    assert (np.abs(entered.mean(axis=0) - exact) <= 4.5 * error)[telling].all()
+    nominal_violation = evidence.violation_probability[0]
+    assert (np.abs(nominal_violation - exact) > 4.5 * error)[telling].sum() > 5
+    firsts = {drawn[0].states.tobytes() for drawn in world.sets}
+    assert len(firsts) > 1
+    again = gridworld.own_world(seed=3).sets[4][99]
+    np.testing.assert_array_equal(again.states, every[-1].states)
+
+
+def test_labels_name_the_hypotheses() -> None:
+    problem = gridworld.own_world().problem
+    assert isinstance(problem.mdp, Gridworld)
+    names, cells = gridworld.labels(problem.mdp), problem.mdp.states
+    assert len(names) == len(problem.hypotheses)
+    for name, expected in (
+        ("cell (6, 3)", [[6, 3]]),
+        ("feature A", [[5, 0], [5, 1], [5, 2]]),
+        ("move up-left", []),
+    ):
+        constraint = problem.hypotheses.constraint(names.index(name))
+        assert cells[constraint.contains(cells, problem.mdp.space)].tolist() == expected
+    move = problem.hypotheses.constraint(names.index("move up-left"))
+    forbidden = move.forbids(Actions(("dx", "dy"), np.array(list(MOVES.values()), float)))
+    assert forbidden.tolist() == [name == "up-left" for name in MOVES]
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_files_hold_what_the_figures_show(golden: Path, tmp_path: Path) -> None:
+    result = gridworld.reproduce(golden)
+    written = gridworld_figures.write(result, tmp_path / "out")
+    assert {path.name for path in written} == {
+        f"gridworld_{figure}.{suffix}"
+        for figure in ("curves", "violations")
+        for suffix in ("csv", "png", "svg")
+    }
+    assert sorted(written) == sorted((tmp_path / "out").iterdir())
+    for path in written:
+        if path.suffix == ".png":
+            assert imread(path).std() > 0.05
+        elif path.suffix == ".svg":
+            assert path.read_text().rstrip().endswith("</svg>")
+    rows = read_csv(tmp_path / "out" / "gridworld_curves.csv")
+    upper, lower = gridworld_figures.draw_curves(result).axes
+    assert len(upper.lines) == 5  # thresholds of [SS], that of the file, and the golden output
+    place = 0
+    for rate, kl in zip(upper.lines, lower.lines, strict=True):
+        some, place = rows[place : place + 3], place + 3
+        assert [int(row["num_demonstrations"]) for row in some] == np.asarray(
+            rate.get_xdata()
+        ).tolist()
+        assert [float(row["false_positive_rate"]) for row in some] == np.asarray(
+            rate.get_ydata()
+        ).tolist()
+        assert [float(row["kl_nats"]) for row in some] == np.asarray(kl.get_ydata()).tolist()
+        assert f"{float(some[0]['threshold_nats']):g} nat" in str(rate.get_label())
+        assert some[0]["source"] == ("golden" if "golden" in str(rate.get_label()) else "swerve")
+    assert place == len(rows)
+
+
+def test_violations_in_file_and_figure(golden: Path) -> None:
+    result = gridworld.reproduce(golden)
+    rows = gridworld_figures.violation_rows(result)[1:]
+    value = {name: float(probability) for _, name, probability, _ in rows}
+    true = {name for _, name, _, is_true in rows if is_true == "1"}
+    assert true == {"feature 2", "cell (2, 1)", "move down-right"}
+    assert value["cell (0, 0)"] == pytest.approx(1.0)
+    assert 0.05 < value["cell (1, 1)"] < value["feature 2"] < 1.0
+    cells, bars, _ = gridworld_figures.draw_violations(result).axes
+    mesh = next(item for item in cells.collections if isinstance(item, QuadMesh))
+    shaded = np.asarray(mesh.get_array()).reshape(3, 4)
+    assert shaded[1, 2] == value["cell (2, 1)"]
+    assert shaded[2, 0] == value["cell (0, 2)"]
+    widths = [bar.get_width() for bar in bars.patches if isinstance(bar, Rectangle)]
+    named = [label.get_text().split(" ")[0] for label in bars.get_yticklabels()]
+    assert widths[named.index("down-right")] == value["move down-right"]
+    texts = [*cells.texts, *bars.texts, *bars.get_yticklabels(), *cells.get_xticklabels()]
+    assert min(float(text.get_fontsize()) for text in texts) >= 7.0
+
+
+def test_means_and_standard_errors() -> None:
+    mean, error = gridworld_figures.mean_and_error(np.array([[1.0, 2.0], [3.0, 2.0], [5.0, 2.0]]))
+    np.testing.assert_allclose(mean, [3.0, 2.0])
+    np.testing.assert_allclose(error, [2.0 / np.sqrt(3.0), 0.0])
+    assert gridworld_figures.mean_and_error(np.ones((1, 2)))[1].tolist() == [0.0, 0.0]
+
+
+def test_command(run: Run, golden: Path, tmp_path: Path) -> None:
+    out = tmp_path / "made" / "here"
+    arguments = ("--out", out, "--data", golden, "--quick")
+    status, printed, said = run("reproduce", "gridworld", *arguments)
+    assert status == 0, said
+    assert "2 of 2 sequences of picks are the golden ones" in printed
+    assert [line.split()[0] for line in printed.splitlines()[2:4]] == ["1", "3"]
+    assert "gridworld_curves.png" in said
+    assert len(read_csv(out / "gridworld_curves.csv")) == 10
+
+
+def test_command_refuses_before_the_work(run: Run, golden: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    cases: list[tuple[Callable[[dict[str, Any]], object], str]] = [
+        (lambda data: data.pop("sets"), "not of the form of a golden.json: KeyError('sets')"),
+        (lambda data: data.update(num_demonstrations=3), "not of the form of a golden.json"),
+        (lambda data: data.update(num_demonstrations=[]), "expected sets and num_demonstrations"),
+        (lambda data: data.update(num_demonstrations=[1, 3, 9]), "expected 9 demonstrations"),
+        (lambda data: data["sets"][0]["selected"].pop(), "picks for each of 3 sizes, got 2"),
+        (lambda data: data["sets"][0]["actions"][0].append(9), "not of the form of a golden.json"),
+    ]
+    for change, message in cases:
+        path = altered(golden, tmp_path, change)
+        status, printed, said = run("reproduce", "gridworld", "--out", tmp_path, "--data", path)
+        assert (status, printed) == (1, ""), message
+        assert message in said
+        assert str(path) in said
+    (tmp_path / "torn.json").write_text(golden.read_text()[:-20])
+    for out, data, message in (
+        ("out", "nowhere.json", "nowhere.json: no such file; check the path"),
+        ("out", "torn.json", "torn.json: not of the form of a golden.json"),
+        ("file/out", golden, "cannot write in"),
+    ):
+        arguments = ("--out", tmp_path / out, "--data", tmp_path / data)
+        status, printed, said = run("reproduce", "gridworld", *arguments)
+        assert (status, printed) == (1, "")
+        assert message in said
+        assert "picking" not in said
+    status, _, said = run("reproduce", "atlantis", "--out", tmp_path)
+    assert status != 0
+    assert "gridworld" in said
+
+
+def test_quick_needs_sizes_that_are_there(golden: Path, tmp_path: Path) -> None:
+    path = altered(golden, tmp_path, lambda data: data.update(num_demonstrations=[2, 4, 5]))
+    with pytest.raises(ValueError, match=r"expected some of \[2, 4, 5\], got none: leave out"):
+        gridworld.reproduce(path, is_quick=True)
+
+
+def test_without_golden_output() -> None:
+    world = gridworld.at_sizes(gridworld.own_world(), [1, 5])
+    world = world._replace(sets=world.sets[:2])
+    result = gridworld.measure(world)
+    assert result.golden is None
+    assert result.agreement is None
+    text = gridworld_figures.table(result)
+    assert "golden" not in text
+    assert len(gridworld_figures.curve_rows(result)) == 1 + 3 * 2
+    fewer = result.curves.num_false.mean(axis=1)
+    assert (np.diff(fewer, axis=0) >= 0).all()  # a smaller threshold picks more
+    assert (np.diff(result.curves.kl, axis=0) <= 0).all()
