@@ -302,7 +302,11 @@ def test_command_refuses_before_the_work(run: Run, golden: Path, tmp_path: Path)
     cases: list[tuple[Callable[[dict[str, Any]], object], str]] = [
         (lambda data: data.pop("sets"), "not of the form of a golden.json: KeyError('sets')"),
         (lambda data: data.update(num_demonstrations=3), "not of the form of a golden.json"),
-        (lambda data: data.update(num_demonstrations=[]), "expected sets and num_demonstrations"),
+        (
+            lambda data: data.update(num_demonstrations=[]),
+            "numbers num_demonstrations of at least 1",
+        ),
+        (lambda data: data.update(sets=[]), "at least one set of demonstrations, got none"),
         (lambda data: data.update(num_demonstrations=[1, 3, 9]), "expected 9 demonstrations"),
         (lambda data: data["sets"][0]["selected"].pop(), "picks for each of 3 sizes, got 2"),
         (lambda data: data["sets"][0]["actions"][0].append(9), "not of the form of a golden.json"),

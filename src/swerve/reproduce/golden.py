@@ -59,9 +59,11 @@ def read_golden(path: Path) -> Golden:
     """
     try:
         golden = _golden(json.loads(path.read_text()))
-        most = max(golden.sizes, default=0)
+        least, most = min(golden.sizes, default=0), max(golden.sizes, default=0)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise ValueError(f"{path}: not of the form of a golden.json: {error!r}") from error
+    if least < 1:
+        raise ValueError(f"{path}: expected numbers num_demonstrations of at least 1")
     for k, (demonstrations, selected) in enumerate(zip(golden.sets, golden.selected, strict=True)):
         if len(demonstrations) < most:
             raise ValueError(
