@@ -9,7 +9,18 @@ import pytest
 from reference import CART_TASK, short_cart
 from synthetic import evidence_of_columns, make_demonstration
 
-from swerve import Demonstration, Gridworld, Problem, Task, divergence, greedy, grid, learn, sample
+from swerve import (
+    Demonstration,
+    Gridworld,
+    Problem,
+    Task,
+    divergence,
+    greedy,
+    grid,
+    infer,
+    learn,
+    sample,
+)
 from swerve.solvers.tabular import TableNominal
 from swerve.space import Actions
 from swerve.systems.gridworld import MOVES
@@ -97,10 +108,31 @@ def test_actions_of_a_tabular_mdp_are_found_from_its_transitions() -> None:
 def test_an_impossible_transition_names_the_step() -> None:
     states = ROUND.states.copy()
     states[2] = [3.0, 2.0]
+    message = r"jump: step 2 leads from \[0.0, 1.0\] to \[3.0, 2.0\], which no action does"
     for actions in (None, ROUND.actions):
         jump = Demonstration("jump", states, TASK, actions=actions)
-        with pytest.raises(ValueError, match=r"jump: step 2 leads from \[0.0, 1.0\] to \[3.0, 2.0"):
+        with pytest.raises(ValueError, match=message):
             divergence(PROBLEM, [jump], np.zeros(1))
+    with pytest.raises(ValueError, match=message):
+        infer(sample(learn(PROBLEM), TASK), [jump])
+
+
+def test_an_action_that_does_not_make_the_step_is_named() -> None:
+    assert ROUND.actions is not None
+    wrong = Demonstration("wrong", ROUND.states, TASK, actions=ROUND.actions[::-1])
+    with pytest.raises(ValueError, match=r"wrong: step 1 leads .* action \[1.0, -1.0\] does not"):
+        divergence(PROBLEM, [wrong], np.zeros(1))
+
+
+def test_resting_at_the_end_is_no_step() -> None:
+    rests = Demonstration(
+        "rests",
+        np.concatenate([ROUND.states, ROUND.states[-1:]]),
+        TASK,
+        actions=np.concatenate([np.asarray(ROUND.actions), [[0.0, 1.0]]]),
+    )
+    result = infer(sample(learn(PROBLEM), TASK), [rests])
+    assert result.entered[0].sum() > 3
 
 
 def test_sampled_greedy_leaves_out_what_enters_the_picks() -> None:

@@ -27,7 +27,13 @@ from swerve.evidence import Evidence
 from swerve.hypotheses import unpack
 from swerve.problem import ProblemRecord
 from swerve.space import Actions
-from swerve.state_checks import check_finite, check_start, check_states, row_namer
+from swerve.state_checks import (
+    check_finite,
+    check_start,
+    check_states,
+    check_transitions,
+    row_namer,
+)
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
@@ -341,6 +347,8 @@ def _judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.nd
     problem, states = evidence.problem, demonstration.states
     check_states(states, demonstration.times, problem.space, demonstration.name)
     check_start(states[0], demonstration.task, problem.space, demonstration.name)
+    if problem.transitions is not None:
+        check_transitions(states, problem.transitions, demonstration.name)
     _check_known(demonstration, problem)
     _check_goal(demonstration, evidence)
     task = evidence.match(demonstration.task, demonstration.name)

@@ -32,7 +32,7 @@ from swerve.hypotheses import (
     constraint_from_json,
     hypotheses_from_json,
 )
-from swerve.space import StateSpace
+from swerve.space import StateSpace, Transitions
 
 if TYPE_CHECKING:
     from swerve.mdp import MDP
@@ -112,6 +112,7 @@ class Problem:
             measure=self.measure,
             between_states=bool(self.between_states),
             mdp_digest=_mdp_digest(self.mdp),
+            transitions=getattr(self.mdp, "transitions", None),
         )
 
 
@@ -123,6 +124,7 @@ class ProblemRecord:
       name: the MDP and its parameters, for people.
       goal_is_last_state: whether `MDP.goal_of` is the default one.
       mdp_digest: hash of the MDP's class name, parameters and actions.
+      transitions: of a tabular MDP; None for others.
       Others: as in `Problem` and `MDP`.
     """
 
@@ -140,6 +142,7 @@ class ProblemRecord:
     measure: str
     between_states: bool
     mdp_digest: str
+    transitions: Transitions | None = None
 
     @property
     def needs_code(self) -> bool:
@@ -170,6 +173,8 @@ class ProblemRecord:
             "known": [constraint.to_json() for constraint in self.known],
             "action_names": list(self.action_names),
             "goal_names": list(self.goal_names),
+            "transitions": self.transitions
+            and [list(self.transitions.shape), self.transitions.successors.tolist()],
         }
 
     @classmethod
@@ -183,6 +188,8 @@ class ProblemRecord:
                 "known": tuple(constraint_from_json(item) for item in data["known"]),
                 "action_names": tuple(data["action_names"]),
                 "goal_names": tuple(data["goal_names"]),
+                "transitions": data["transitions"]
+                and Transitions(tuple(data["transitions"][0]), np.array(data["transitions"][1])),
             }
         )
 

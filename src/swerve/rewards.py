@@ -11,6 +11,7 @@ import numpy as np
 
 from swerve.demonstrations import Demonstration
 from swerve.mdp import MDP
+from swerve.state_checks import check_transitions
 from swerve.systems.tabular import TabularMDP
 
 
@@ -28,6 +29,7 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
         actions = actions[: len(states) - 1]
     if isinstance(mdp, TabularMDP):
         index = mdp.state_index(states)
+        check_transitions(states, mdp.transitions, name)
         fits = mdp.successors[index[:-1]] == index[1:, None]  # [L-1, A]
         if actions is None:
             return np.asarray(mdp.actions, float)[_only_way(fits, demonstration)]
@@ -55,23 +57,20 @@ def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) ->
 
 
 def _check_possible(possible: np.ndarray, demonstration: Demonstration) -> None:
-    """Raise ValueError where a step [L-1] of a demonstration is not possible."""
+    """Raise ValueError where the action of a step [L-1] is not the one that makes it."""
     wrong = np.flatnonzero(~possible)
     if len(wrong):
         step = int(wrong[0])
+        assert demonstration.actions is not None
         before, after = demonstration.states[step : step + 2].tolist()
-        taken = ""
-        if demonstration.actions is not None:
-            taken = f" by action {demonstration.actions[step].tolist()}"
         raise ValueError(
-            f"{demonstration.name}: step {step + 1} leads from {before} to {after}{taken}, which "
-            "no transition of the MDP does"
+            f"{demonstration.name}: step {step + 1} leads from {before} to {after}, which action "
+            f"{demonstration.actions[step].tolist()} does not do"
         )
 
 
 def _only_way(fits: np.ndarray, demonstration: Demonstration) -> np.ndarray:
     """Return the action [L-1] that alone makes each step, from what fits [L-1, A]."""
-    _check_possible(np.asarray(fits.any(axis=1)), demonstration)
     several = np.flatnonzero(fits.sum(axis=1) > 1)
     if len(several):
         step = int(several[0])

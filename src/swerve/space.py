@@ -60,6 +60,39 @@ class Actions(NamedTuple):
     values: Any
 
 
+class Transitions(NamedTuple):
+    """Which state follows which, where there are finitely many.
+
+    Attributes:
+      shape: number of values of each component of a state; the first varies fastest.
+      successors: [S, A] numbers of the states that actions lead to, negative where not offered.
+    """
+
+    shape: tuple[int, ...]
+    successors: np.ndarray
+
+    def number(self, states: Any) -> Any:
+        """Return the number [...] of the states nearest to [..., n], NumPy or JAX."""
+        xp = states.__array_namespace__()
+        index, stride = 0, 1
+        for component, size in enumerate(self.shape):
+            value = xp.clip(xp.round(states[..., component]), 0, size - 1)
+            index = index + stride * value.astype(xp.int32)
+            stride *= size
+        return index
+
+    def first_impossible(self, states: np.ndarray) -> int | None:
+        """Return the first step [0, L-2] of states [L, n] that no action makes, or None.
+
+        To stay in the last state, once it is reached, is no step.
+        """
+        number = self.number(states)
+        possible = (self.successors[number[:-1]] == number[1:, None]).any(axis=1)
+        rests = np.logical_and.accumulate((number == number[-1])[::-1])[::-1][:-1]
+        wrong = np.flatnonzero(~(possible | rests))
+        return int(wrong[0]) if len(wrong) else None
+
+
 @dataclass(frozen=True, eq=False)
 class StateSpace:
     """Names, angles and bounds of the states of an MDP.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from swerve.space import TWO_PI, StateSpace, Task
+from swerve.space import TWO_PI, StateSpace, Task, Transitions
 
 START_TOLERANCE = 1e-3
 """How far a first state may lie from the start of its task, and a start or a goal outside the
@@ -158,4 +158,15 @@ def check_start(state: np.ndarray, task: Task, space: StateSpace, where: str) ->
         raise ValueError(
             f"{where}: the first state is {first}, but the task starts at {start}: {distance:.2g} "
             f"of the extent apart, expected at most {START_TOLERANCE:g}; correct either"
+        )
+
+
+def check_transitions(states: np.ndarray, transitions: Transitions, where: str) -> None:
+    """Raise ValueError where no action of a tabular MDP makes a step of states [L, n]."""
+    step = transitions.first_impossible(states)
+    if step is not None:
+        before, after = states[step : step + 2].tolist()
+        raise ValueError(
+            f"{where}: step {step + 1} leads from {before} to {after}, which no action does: "
+            "correct the demonstration, or the transitions of the MDP"
         )

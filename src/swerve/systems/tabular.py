@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve.mdp import MDP
-from swerve.space import StateSpace, Task
+from swerve.space import StateSpace, Task, Transitions
 
 NOWHERE = -1  # the successor of an action that a state does not offer
 
@@ -52,6 +52,11 @@ class TabularMDP(MDP):
         return StateSpace(tuple(self.state_names), (), np.asarray(self.bounds, float), True)
 
     @property
+    def transitions(self) -> Transitions:
+        """Which state follows which."""
+        return Transitions(tuple(self.shape), self.successors)
+
+    @property
     def num_states(self) -> int:
         """S."""
         return math.prod(self.shape)
@@ -64,13 +69,7 @@ class TabularMDP(MDP):
 
     def state_index(self, states: Any) -> Any:
         """Return the number [...] of states [..., n], NumPy or JAX; beyond the edge, the edge."""
-        xp = states.__array_namespace__()
-        index, stride = 0, 1
-        for component, size in enumerate(self.shape):
-            value = xp.clip(xp.round(states[..., component]), 0, size - 1)
-            index = index + stride * value.astype(xp.int32)
-            stride *= size
-        return index
+        return self.transitions.number(states)
 
     def action_index(self, actions: Any) -> Any:
         """Return the number [...] of the action nearest to each of actions [..., m]."""
