@@ -10,6 +10,7 @@ table of docs/testing.md between the two markers is what --write writes.
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import re
 import shutil
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+TIMEOUT = 900.0  # s
 MARKERS = "<!-- mutants -->\n", "<!-- end of mutants -->\n"
 
 
@@ -53,7 +55,7 @@ MUTANTS = (
         "drop the entropy of the tabular value: the best action in place of the log-sum",
         "solvers/table.py",
         "return finite + np.log(np.exp(values - finite[:, None]).sum(axis=-1))",
-        "return finite + 0.0 * np.log(np.exp(values - finite[:, None]).sum(axis=-1))",
+        "return largest",
         "test_tabular",
     ),
     Mutant(
@@ -182,8 +184,10 @@ def caught_by(mutant: Mutant) -> str | None:
     """Return the first test that fails on a mutant, or None if it survives.
 
     Raises:
-      ValueError: if the text to replace is not there exactly once.
+      ValueError: if the text to replace is not there exactly once, or tests fail without it.
     """
+    if first_failure(mutant.tests, ROOT / "src") is not None:
+        raise ValueError(f"{mutant.tests}: fails on the library as it is")
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "src"
         shutil.copytree(ROOT / "src", copy)
@@ -195,18 +199,27 @@ def caught_by(mutant: Mutant) -> str | None:
                 f" {mutant.right!r}"
             )
         path.write_text(text.replace(mutant.right, mutant.wrong))
-        module, *options = mutant.tests.split()
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
-        done = subprocess.run(
-            [*command, "-W", "default", f"tests/{module}.py", *options],
-            cwd=ROOT,
-            env=os.environ | {"PYTHONPATH": str(copy)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        failed = re.search(r"^(?:FAILED|ERROR) tests/(\S+)", done.stdout, re.MULTILINE)
-        return failed[1] if failed else None
+        return first_failure(mutant.tests, copy)
+
+
+@functools.cache
+def first_failure(tests: str, sources: Path) -> str | None:
+    """Return the first test that fails on some sources, or None."""
+    module, *options = tests.split()
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, "-W", "default", f"tests/{module}.py", *options],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(sources)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=TIMEOUT,
+    )
+    failed = re.search(r"^FAILED tests/(\S+)", done.stdout, re.MULTILINE)
+    if done.returncode and not failed:
+        raise ValueError(f"{tests}: no test failed, and yet:\n{done.stdout[-2000:]}")
+    return failed[1] if failed else None
 
 
 def main() -> None:

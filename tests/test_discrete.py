@@ -143,3 +143,35 @@ def test_what_does_not_fit_is_refused() -> None:
 
     with pytest.raises(ValueError, match="at most 4 state dimensions, Wide has 5"):
         learn(Problem(Wide(), grid(a=(0.0, 1.0, 2))), "discrete")
+
+
+def test_an_end_that_depends_on_the_goal_needs_short_actions() -> None:
+    class Arrive(Wind):
+        goal_names = ("x",)
+
+        def terminated(self, state, goal):
+            return jnp.abs(state[0] - goal[0]) < 0.6
+
+    problem = Problem(Arrive(), grid(x=(0.0, 8.0, 8)))
+    task = Task(np.array([1.0]), np.array([4.0]))
+    with pytest.raises(ValueError, match=r"depends on the goal, so .* for 2 steps: set hold=1"):
+        sample(learn(problem, Discrete(num_cells=8, hold=2)), task)
+    sample(learn(problem, Discrete(num_cells=8, hold=1)), task)
+
+
+def test_rewards_that_are_no_numbers_are_named() -> None:
+    class Broken(Wind):
+        def reward(self, state, action, next_state, goal):
+            return jnp.where(state[0] > 6.0, jnp.nan, 0.0)
+
+    nominal = learn(Problem(Broken(), grid(x=(0.0, 8.0, 8))), Discrete(num_cells=8, hold=1))
+    with pytest.raises(ValueError, match=r"Broken.reward is nan in state \[6.5\]"):
+        sample(nominal, Task(np.array([1.0]), np.array([4.0])))
+
+
+def test_durations_are_those_of_the_system() -> None:
+    problem = Problem(Wind(), grid(x=(0.0, 8.0, 8)))
+    task = Task(np.array([1.5]), np.array([4.0]))
+    for hold in (1, 2):
+        evidence = sample(learn(problem, Discrete(num_cells=8, hold=hold)), task)
+        assert evidence.summary.shortest[0] == 4.0

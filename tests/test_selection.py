@@ -14,6 +14,7 @@ from swerve import (
     Gridworld,
     Problem,
     Task,
+    Union,
     divergence,
     greedy,
     grid,
@@ -23,7 +24,7 @@ from swerve import (
 )
 from swerve.solvers.tabular import TableNominal
 from swerve.space import Actions
-from swerve.systems.gridworld import MOVES
+from swerve.systems.gridworld import MOVES, cell_box
 
 WORLD = Gridworld(width=4, height=3, num_steps=5, cell_features=(("wet", ((1, 0), (2, 0))),))
 PROBLEM = Problem(WORLD, WORLD.hypotheses(), measure="counting", between_states=False)
@@ -133,6 +134,46 @@ def test_resting_at_the_end_is_no_step() -> None:
     )
     result = infer(sample(learn(PROBLEM), TASK), [rests])
     assert result.entered[0].sum() > 3
+    bare = Demonstration("bare", rests.states, TASK)
+    expected = divergence(PROBLEM, [ROUND], np.zeros(1))
+    assert divergence(PROBLEM, [rests], np.zeros(1)) == expected
+    assert divergence(PROBLEM, [bare], np.zeros(1)) == expected
+
+
+def test_going_on_after_the_end_is_refused() -> None:
+    on = walk("right", "right", "right", "left", "right")
+    with pytest.raises(ValueError, match=r"has ended in state 3 .*, and yet the demonstr"):
+        divergence(PROBLEM, [on], np.zeros(1))
+
+
+def test_more_steps_than_the_horizon_are_refused() -> None:
+    long = walk("up", "up", "down", "right", "right", "down-right")
+    with pytest.raises(ValueError, match="6 steps, more than the horizon of 5"):
+        divergence(PROBLEM, [long], np.zeros(1))
+
+
+def test_what_no_sample_avoids_is_picked_as_a_bound() -> None:
+    columns = np.zeros((1, 400, 10), bool)
+    columns[0, :, 5] = columns[0, :160, 6] = True
+    evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
+    first = greedy(evidence, [make_demonstration()], most=1)
+    assert first[0].hypothesis == 5
+    assert first[0].gain == pytest.approx(math.log(400.0))
+
+
+def test_near_certain_violations_are_no_impossible_ones() -> None:
+    """A detour of six moves at 200 nats each: a ratio that no float holds."""
+    world = Gridworld(width=5, height=8, num_steps=24, step_reward=-200.0)
+    wall = Union("wall", [cell_box((2, y)) for y in range(7)])
+    problem = Problem(world, [wall, cell_box((2, 0))], measure="counting", between_states=False)
+    task = Task(np.zeros(2), np.array([4.0, 0.0]))
+    nominal = learn(problem)
+    assert isinstance(nominal, TableNominal)
+    masses = nominal.log_partition(task, [(), (0,)])
+    assert masses[0] - masses[1] > 1000.0
+    result = infer(sample(nominal, task))
+    assert result.log_likelihood[0] == pytest.approx(masses[0] - masses[1])
+    assert result.ranking.tolist() == [0, 1]
 
 
 def test_sampled_greedy_leaves_out_what_enters_the_picks() -> None:
@@ -155,8 +196,9 @@ def test_bad_arguments(nominal: TableNominal) -> None:
             ValueError, match=f"threshold: expected a number >= 0 .* got {threshold}"
         ):
             greedy(nominal, [ROUND], threshold=threshold)
-    with pytest.raises(ValueError, match="demonstrations: expected at least one, got none"):
-        greedy(nominal, [])
+    for none in ([], ROUND):
+        with pytest.raises(ValueError, match="demonstrations: expected a list of at least one"):
+            greedy(nominal, none)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match=r"this evidence is exact .* give the nominal"):
         greedy(sample(nominal, TASK), [ROUND])
     evidence = sample(learn(short_cart(), "grid?num_points=41"), CART_TASK, 100)

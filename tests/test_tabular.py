@@ -16,6 +16,7 @@ import swerve
 from swerve import ActionBox, Box, Gridworld, Problem, Task, infer, learn, sample, tabular
 from swerve.solvers.tabular import TableNominal
 from swerve.systems.gridworld import MOVES, cell_box, gridworld, move_box
+from swerve.tasks import draw_tasks
 
 RING = np.array([[1, 2], [2, 3], [3, 0], [0, -1]])  # one or two on; the last offers one alone
 START = Task(np.array([0.0]), np.zeros(0))
@@ -176,3 +177,26 @@ class TestGridworld:
         kept = evidence.samples.kept[0]
         np.testing.assert_array_equal(kept, np.round(kept))
         np.testing.assert_array_equal(kept[:, -1], np.tile([8.0, 0.0], (100, 1)))
+
+    def test_there_is_nothing_between_states_that_are_numbers(self) -> None:
+        """From 0 straight to 2: state 1 is not entered."""
+        row = tabular(np.array([[2], [2], [2]]), np.zeros(3), num_steps=2)
+        problem = Problem(row, [Box(state=(0.5, 1.5))])
+        assert not problem.between_states
+        assert sample(solve(problem), START).violation_probability[0, 0] == 0.0
+
+    def test_walls_are_nobodys_start(self) -> None:
+        world = Gridworld(width=3, height=2, walls=((1, 0), (1, 1)), num_steps=9)
+        problem = Problem(world, [cell_box((2, 1))], measure="counting", between_states=False)
+        drawn = draw_tasks(problem, 40)
+        assert set(drawn.start[:, 0]) | set(drawn.goal[:, 0]) == {0.0, 2.0}
+        with pytest.raises(ValueError, match="no trajectory is allowed"):
+            sample(solve(problem), Task(np.array([1.0, 0.0]), np.array([0.0, 0.0])))
+
+    def test_mirror_images_are_tied(self) -> None:
+        world = Gridworld(num_steps=12)
+        problem = Problem(world, world.hypotheses(), measure="counting", between_states=False)
+        result = infer(sample(solve(problem), Task(np.array([0.0, 4.0]), np.array([8.0, 4.0]))))
+        rank = dict(zip(result.ranking.tolist(), result.rank.tolist(), strict=True))
+        for x, y in itertools.product(range(9), range(4)):
+            assert rank.get(9 * y + x) == rank.get(9 * (8 - y) + x)

@@ -50,12 +50,14 @@ WorkFolder = Annotated[
 SolverName = Annotated[
     str | None,
     Parameter(
-        help="grid or ppo, with settings as in 'ppo?num_steps=2e7'. [default: what the work "
-        "folder holds, else grid for up to 3 states, else ppo]"
+        help="grid, ppo, tabular, enumeration or discrete, with settings as in "
+        "'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular where states are "
+        "finitely many, grid for up to 3 states, else ppo]"
     ),
 ]
 Samples = Annotated[
-    int | None, Parameter(help="Trajectories sampled for each task. [default: 10000]")
+    int | None,
+    Parameter(help="Trajectories for each task, for solvers that are sampled. [default: 10000]"),
 ]
 Method = Annotated[
     str | None,

@@ -171,8 +171,8 @@ def _impossible(inference: Inference) -> Iterator[str]:
     if len(found):
         names = some_names([f"hypothesis {index}" for index in found])
         yield (
-            f"{names} struck out: every trajectory of a task enters, so nobody could do that task "
-            "and obey"
+            f"{names} struck out: by {inference.evidence.solver} every trajectory of a task "
+            "enters, so nobody could do that task and obey"
         )
 
 

@@ -97,9 +97,10 @@ class Evidence:
 
     @property
     def log_ratio(self) -> np.ndarray:
-        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution)."""
-        with np.errstate(divide="ignore"):  # exactly nothing avoids it
-            return np.log(np.maximum(self.summary.avoid_probability, self.resolution[:, None]))
+        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution); -inf where it is exactly 0."""
+        if self.is_exact:
+            return self.summary.log_ratio
+        return np.log(np.maximum(self.summary.avoid_probability, self.resolution[:, None]))
 
     @property
     def standard_error(self) -> np.ndarray:

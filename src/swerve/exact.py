@@ -10,6 +10,7 @@ Shapes: M trajectories drawn, T steps, n states, H hypotheses, B = ceil(H / 8) b
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -42,13 +43,20 @@ class ExactAnswer(NamedTuple):
 
     Attributes:
       log_partition: log Z_0, nats.
-      avoid_probability: [H] Z_c / Z_0.
+      log_ratio: [H] log Z_c / Z_0, nats; -inf where nothing avoids a hypothesis.
       drawn: trajectories from pi_0.
+      step: seconds between two states of those, where not the MDP's dt.
     """
 
     log_partition: float
-    avoid_probability: np.ndarray
+    log_ratio: np.ndarray
     drawn: Drawn
+    step: float | None = None
+
+    @property
+    def avoid_probability(self) -> np.ndarray:
+        """[H] Z_c / Z_0; 0 where it is too small for a number."""
+        return np.exp(self.log_ratio)
 
 
 def exact_evidence(
@@ -60,10 +68,10 @@ def exact_evidence(
       ValueError: if log Z_0 is not finite.
     """
     log_partition, drawn = answer.log_partition, answer.drawn
-    if log_partition == -math.inf:
+    if not math.isfinite(log_partition):
         raise ValueError(
-            "no trajectory is allowed, log Z_0 = -inf: the goal cannot be reached within the "
-            f"horizon of {record.num_steps} steps, or known constraints are in the way"
+            f"no trajectory is allowed, log Z_0 = {log_partition}: the goal cannot be reached "
+            f"within the horizon of {record.num_steps} steps, or known constraints are in the way"
         )
     numbers = Samples(
         total_reward=drawn.total_reward[None],
@@ -74,9 +82,11 @@ def exact_evidence(
         soft_value=np.array([log_partition]),
     )
     samples = numbers._replace(log_probability=log_weights(record, numbers) - log_partition)
-    summary = summarise(record, samples, EXACT)._replace(
+    timed = record if answer.step is None else dataclasses.replace(record, dt=answer.step)
+    summary = summarise(timed, samples, EXACT)._replace(
         avoid_probability=answer.avoid_probability[None],
-        avoid_variance=np.zeros((1, len(answer.avoid_probability))),
+        avoid_variance=np.zeros((1, len(answer.log_ratio))),
+        log_ratio=answer.log_ratio[None],
         log_partition=np.array([log_partition]),
         kl=np.zeros(1),
         effective_sample_size=np.array([float(len(drawn.length))]),

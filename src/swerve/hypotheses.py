@@ -259,8 +259,11 @@ class ConstraintHypotheses(HypothesisSet):
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]."""
         states = np.asarray(states, np.float64)
-        columns = [violates(c, states, space, between_states, actions) for c in self.constraints]
-        return np.packbits(np.stack(columns, axis=-1), axis=-1, bitorder="little")
+        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        for index, constraint in enumerate(self.constraints):
+            hit = violates(constraint, states, space, between_states, actions)
+            bits[:, index >> 3] |= np.left_shift(hit, index & 7, dtype=np.uint8)
+        return bits
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""

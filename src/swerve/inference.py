@@ -37,6 +37,7 @@ from swerve.state_checks import (
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
+ROUNDING = 9  # digits of a score, beyond which two are the same
 TABLE_ROWS = 10
 
 
@@ -68,8 +69,8 @@ class Inference:
     @cached_property
     def impossible(self) -> np.ndarray:
         """[H] True where exact evidence says that nobody who has one of the tasks can avoid it."""
-        avoid = self.evidence.summary.avoid_probability[self.task_counts > 0]
-        return np.asarray(self.evidence.is_exact & (avoid == 0.0).any(axis=0))
+        log_ratio = self.evidence.summary.log_ratio[self.task_counts > 0]
+        return np.asarray(self.evidence.is_exact & np.isneginf(log_ratio).any(axis=0))
 
     @cached_property
     def struck_out(self) -> np.ndarray:
@@ -126,7 +127,7 @@ class Inference:
     @cached_property
     def ranking(self) -> np.ndarray:
         """Hypotheses that are left, best first; equal scores in order of index."""
-        order = np.argsort(-self.score, kind="stable")
+        order = np.argsort(-self.score.round(ROUNDING), kind="stable")
         return order[: np.count_nonzero(~self.struck_out)]
 
     @cached_property
@@ -134,13 +135,14 @@ class Inference:
         """Rank of each entry of `ranking`, from 1; ties share the rank of their first.
 
         Two are tied where their scores differ by at most twice the sum of their standard errors,
-        which bounds the error of the difference however the samples are correlated.
+        which bounds the error of the difference however the samples are correlated, or by rounding.
         """
         score, error = self.score[self.ranking], self.score_error[self.ranking]
         rank = np.ones(len(score), int)
         first = 0
         for k in range(1, len(score)):
-            if score[first] - score[k] > TIE_ERRORS * (error[first] + error[k]):
+            rounding = 10.0**-ROUNDING * max(1.0, abs(score[first]))
+            if score[first] - score[k] > TIE_ERRORS * (error[first] + error[k]) + rounding:
                 first = k
             rank[k] = first + 1
         return rank

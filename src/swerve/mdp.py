@@ -222,7 +222,8 @@ def _check_method(
     if kind is bool and value.dtype != bool:
         raise ValueError(f"{label}: expected True or False, got {value} of {value.dtype}")
     numbers = np.asarray(value, float)
-    if not (np.isfinite(numbers) | (np.isneginf(numbers) & ("reward" in label))).all():
+    forbidden = np.isneginf(numbers) & (kind is float and shape == ())  # a reward may be -inf
+    if not (np.isfinite(numbers) | forbidden).all():
         raise ValueError(
             f"{label}: expected finite numbers, got {np.asarray(value).tolist()} at the centre of "
             f"the bounds, state {np.asarray(arguments[0]).tolist()}"

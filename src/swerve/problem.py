@@ -52,7 +52,8 @@ class Problem:
       measure: base measure of trajectories, "uniform" (A^-length) or "counting" (1).
       known: constraints known to hold, which the nominal distribution obeys too.
       between_states: whether crossing a constraint between two states counts as entering it;
-        False judges the states alone, as the paper does.
+        False judges the states alone, as the paper does. None is True, and False for a tabular MDP,
+        between whose states there is nothing.
     """
 
     mdp: MDP
@@ -60,7 +61,7 @@ class Problem:
     beta: float = 1.0
     measure: str = "uniform"
     known: Sequence[Constraint] = ()
-    between_states: bool = True
+    between_states: bool = None  # pyright: ignore[reportAssignmentType]  # set below
 
     if TYPE_CHECKING:  # a list is made into a set
 
@@ -71,7 +72,7 @@ class Problem:
             beta: float = 1.0,
             measure: str = "uniform",
             known: Sequence[Constraint] = (),
-            between_states: bool = True,
+            between_states: bool | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -81,6 +82,8 @@ class Problem:
             raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
         check_mdp(self.mdp)
         space, action_names = self.mdp.space, tuple(self.mdp.action_names)
+        if self.between_states is None:
+            object.__setattr__(self, "between_states", not space.is_lattice)
         if not isinstance(self.hypotheses, HypothesisSet):
             check_constraints(self.hypotheses, space, action_names, "hypotheses")
             object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))

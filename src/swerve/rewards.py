@@ -25,6 +25,12 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
       ValueError: if actions are not there and cannot be found, or a step is impossible.
     """
     name, states, actions = demonstration.name, demonstration.states, demonstration.actions
+    if isinstance(mdp, TabularMDP):
+        states = states[: _num_before_rest(mdp, demonstration)]
+    if len(states) - 1 > mdp.num_steps:
+        raise ValueError(
+            f"{name}: {len(states) - 1} steps, more than the horizon of {mdp.num_steps}"
+        )
     if actions is not None:
         actions = actions[: len(states) - 1]
     if isinstance(mdp, TabularMDP):
@@ -43,9 +49,29 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
     return actions
 
 
+def _num_before_rest(mdp: TabularMDP, demonstration: Demonstration) -> int:
+    """Return how many states there are until the episode has ended and its last state is repeated.
+
+    Raises:
+      ValueError: if it goes on elsewhere after its end.
+    """
+    states, goal = demonstration.states, jnp.asarray(demonstration.task.goal, jnp.float32)
+    ends = jax.vmap(mdp.terminated, (0, None))(jnp.asarray(states, jnp.float32), goal)
+    ended = np.flatnonzero(np.asarray(ends))
+    if not len(ended):
+        return len(states)
+    number = mdp.state_index(states)
+    if (number[ended[0] :] != number[ended[0]]).any():
+        raise ValueError(
+            f"{demonstration.name}: the episode has ended in state {ended[0]} (counted from 0), "
+            "and yet the demonstration goes on"
+        )
+    return int(ended[0]) + 1
+
+
 def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) -> float:
-    """Return R(xi) of a demonstration that took the actions [L-1, m]."""
-    states = demonstration.states
+    """Return R(xi) of a demonstration that took the actions of `taken_actions`."""
+    states = demonstration.states[: len(actions) + 1]
     goal = jnp.asarray(demonstration.task.goal, jnp.float32)
     end = float(mdp.terminal_reward(jnp.asarray(states[-1], jnp.float32), goal))
     if isinstance(mdp, TabularMDP):

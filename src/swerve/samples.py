@@ -63,6 +63,7 @@ class Summary(NamedTuple):
     Attributes:
       avoid_probability: [K, H] Z_c / Z_0.
       avoid_variance: [K, H] its sampling variance.
+      log_ratio: [K, H] its log, nats, which exact answers know where the ratio is no number.
       log_partition: [K] log Z_0, nats.
       kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats.
       effective_sample_size: [K] of the importance weights, whatever the method.
@@ -75,6 +76,7 @@ class Summary(NamedTuple):
 
     avoid_probability: np.ndarray
     avoid_variance: np.ndarray
+    log_ratio: np.ndarray
     log_partition: np.ndarray
     kl: np.ndarray
     effective_sample_size: np.ndarray
@@ -99,6 +101,7 @@ def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
         rows.append(
             (
                 *estimate,
+                _log(estimate.avoid_probability),
                 log_partition,
                 estimators.kl_divergence(log_weight, log_partition),
                 estimators.effective_sample_size(log_weight),
@@ -109,6 +112,12 @@ def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
             )
         )
     return Summary(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def _log(values: np.ndarray) -> np.ndarray:
+    """Return logs, -inf of 0."""
+    with np.errstate(divide="ignore"):
+        return np.log(values)
 
 
 def _end_box(problem: ProblemRecord, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

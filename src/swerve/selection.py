@@ -34,7 +34,7 @@ from swerve.space import Task
 TIED = 1e-9  # relative: gains closer than this are one, and the lowest index is taken
 
 Conditional = Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]
-"""Maps hypotheses picked to log Z_C [K], nats, and P(avoid c | avoid C) [K, H]."""
+"""Maps hypotheses picked to log Z_C [K] and log P(avoid c | avoid C) [K, H], both in nats."""
 
 
 class Pick(NamedTuple):
@@ -42,7 +42,8 @@ class Pick(NamedTuple):
 
     Attributes:
       hypothesis: its index.
-      gain: nats a demonstration that it takes off the KL divergence.
+      gain: nats a demonstration that it takes off the KL divergence; where next to no sample is
+        left that avoids it, no more than the samples can tell.
       log_partition: [K] log Z_C with this one and all before it in force, nats.
     """
 
@@ -79,8 +80,8 @@ def greedy(
             f"threshold: expected a number >= 0 (nats a demonstration), got {threshold}"
         )
     most = None if most is None else whole_number(most, "most", 1)
-    if not demonstrations:
-        raise ValueError("demonstrations: expected at least one, got none")
+    if isinstance(demonstrations, Demonstration) or not len(demonstrations):
+        raise ValueError("demonstrations: expected a list of at least one")
     if isinstance(source, Evidence):
         start, conditional = infer(source, demonstrations), _of_samples(source)
     else:
@@ -88,22 +89,20 @@ def greedy(
     left = np.asarray(~start.entered.any(axis=0))
     share = start.task_counts / len(demonstrations)
     picks: list[Pick] = []
-    _, avoid = conditional(())
+    _, log_ratio = conditional(())
     while left.any() and (most is None or len(picks) < most):
-        index, gain = _best(share, avoid, left)
-        if gain < threshold:
+        index, gain = _best(share, log_ratio, left)
+        if gain < max(threshold, TIED):
             break
-        log_partition, avoid = conditional((*(pick.hypothesis for pick in picks), index))
+        log_partition, log_ratio = conditional((*(pick.hypothesis for pick in picks), index))
         picks.append(Pick(index, gain, log_partition))
         left[index] = False
     return picks
 
 
-def _best(share: np.ndarray, avoid: np.ndarray, left: np.ndarray) -> tuple[int, float]:
+def _best(share: np.ndarray, log_ratio: np.ndarray, left: np.ndarray) -> tuple[int, float]:
     """Return the hypothesis of the largest gain among those left, and its gain."""
-    used = share > 0
-    with np.errstate(divide="ignore"):
-        gain = -share[used] @ np.log(avoid[used])
+    gain = -share[share > 0] @ log_ratio[share > 0]
     gain = np.where(left & np.isfinite(gain), gain, -np.inf)  # one that nobody can avoid is none
     best = gain.max()
     index = int(np.flatnonzero(gain >= best - TIED * max(1.0, abs(best)))[0])
@@ -124,18 +123,20 @@ def _of_samples(evidence: Evidence) -> Conditional:
         chosen = np.zeros(num_hypotheses, bool)
         chosen[list(picked)] = True
         mask = np.packbits(chosen, bitorder="little")
-        log_partition, avoid = [], []
+        log_partition, log_ratio = [], []
         for k, log_weight in enumerate(evidence.log_weight):
             clean = np.where((bits[k] & mask).any(axis=1), -np.inf, log_weight)
-            if np.isneginf(clean).all():
-                raise ValueError(
-                    f"task {k}: no trajectory is left that avoids all of the {len(picked)} "
-                    "hypotheses picked: sample more, or raise the threshold"
-                )
-            kept = np.exp(estimators.log_partition(clean) - estimators.log_partition(log_weight))
-            log_partition.append(evidence.log_partition[k] + np.log(kept))
-            avoid.append(estimators.avoid_probability(clean, bits[k], num_hypotheses)[0])
-        return np.array(log_partition), np.array(avoid)
+            if np.isneginf(clean).all():  # no more can be told than what one sample would
+                least = estimators.effective_sample_size(log_weight)
+                log_partition.append(evidence.log_partition[k] - np.log(least))
+                log_ratio.append(np.zeros(num_hypotheses))
+                continue
+            kept = estimators.log_partition(clean) - estimators.log_partition(log_weight)
+            log_partition.append(evidence.log_partition[k] + kept)
+            avoid = estimators.avoid_probability(clean, bits[k], num_hypotheses).avoid_probability
+            least = 1.0 / estimators.effective_sample_size(clean)  # what samples resolve
+            log_ratio.append(np.log(np.maximum(avoid, least)))
+        return np.array(log_partition), np.array(log_ratio)
 
     return conditional
 
@@ -155,7 +156,7 @@ def _exact(
         ]
         return (
             np.array([answer.log_partition for answer in answers]),
-            np.array([answer.avoid_probability for answer in answers]),
+            np.array([answer.log_ratio for answer in answers]),
         )
 
     return infer(sample(nominal, distinct), demonstrations), conditional

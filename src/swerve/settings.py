@@ -41,6 +41,11 @@ class Settings:
             )
         if self.method not in (None, *METHODS, *([EXACT] if exact else [])):
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if exact and self.num_trajectories not in (None, NUM_KEPT):
+            raise ValueError(
+                f"samples: solver {self.solver!r} gives exact answers, leave "
+                f"{self.num_trajectories} out"
+            )
         if self.num_trajectories is not None:
             whole_number(self.num_trajectories, "samples", 2)
         if self.seed is not None:

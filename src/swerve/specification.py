@@ -304,7 +304,8 @@ def _search_here() -> None:
 def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
     """Convert a text to the type of a parameter; of several, the first that fits."""
     hint, remark = _annotation(function, parameter), ""
-    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind in list(_CONVERSIONS)]
+    options = (hint,) if hint in list(_CONVERSIONS) else get_args(hint)
+    kinds = [kind for kind in options if kind in list(_CONVERSIONS)]
     if not kinds:
         kinds = [kind for kind in (bool, int, float, str) if isinstance(parameter.default, kind)][
             :1

@@ -34,10 +34,10 @@ def title(inference: Inference) -> str:
 def sentence(inference: Inference) -> str:
     """Return the answer in a plain sentence or two."""
     if not len(inference.ranking):
-        return (
-            f"No hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
-            "least one demonstration."
-        )
+        reason = "is entered by at least one demonstration"
+        if inference.impossible.any():
+            reason += ", or by every trajectory of a task"
+        return f"No hypothesis is left: each of the {len(inference.struck_out)} {reason}."
     best = int(inference.leaders[0])
     what, value = short_hypothesis(inference, best), score(inference, best)
     value += _tied(inference)

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from swerve.problem import Problem
 
 RESULTS = ("*.nominal", "*.evidence", "*.checkpoint")
+FORMAT = 2  # of problem.json
 NUM_PRIOR_TASKS = 8
 SAVE_INTERVAL = 60.0  # s between two saves while sampling
 
@@ -254,6 +255,9 @@ class Work:
             return None
         stored = store.read_json(self.folder / "problem.json")
         asked = canonical_problem(self.problem_text)
+        if stored.get("format") != FORMAT:
+            say(f"{self.folder} is of another version of swerve: working it out anew")
+            return None
         if stored["problem"] != asked:
             raise ValueError(
                 f"{self.folder} holds the results of {stored['problem']!r}, not of {asked!r}: "
@@ -284,6 +288,7 @@ class Work:
             if not self._is_current(record):
                 self._remove_results(self.folder)
             data = {
+                "format": FORMAT,
                 "problem": canonical_problem(self.problem_text),
                 "record": record.to_json(),
                 "settings": dataclasses.asdict(settings),

@@ -82,12 +82,21 @@ class Discrete:
         num_steps = -(-problem.mdp.num_steps // hold)
         centres = jnp.asarray(cells.centres, jnp.float32)
 
-        def rewards(goal: np.ndarray) -> np.ndarray:
-            return np.asarray(held(centres, jnp.asarray(goal, jnp.float32))[1], float)
+        mdp = problem.mdp
+        ends = jax.jit(jax.vmap(mdp.terminated, (0, None)))
+        anywhere = np.asarray(ends(centres, jnp.zeros(len(mdp.goal_names))))
 
-        return TableNominal(
-            problem, self, States(cells.centres, successors, num_steps, cells.number), rewards
-        )
+        def rewards(goal: np.ndarray) -> np.ndarray:
+            target = jnp.asarray(goal, jnp.float32)
+            if hold > 1 and (np.asarray(ends(centres, target)) != anywhere).any():
+                raise ValueError(
+                    f"Discrete: where episodes of {type(mdp).__name__} end depends on the goal, so "
+                    f"an action cannot be held for {hold} steps: set hold=1"
+                )
+            return np.asarray(held(centres, target)[1], float)
+
+        table = States(cells.centres, successors, num_steps, cells.number, hold * mdp.dt)
+        return TableNominal(problem, self, table, rewards)
 
     def check(self, problem: Problem) -> None:
         """Raise ValueError where `learn` would."""

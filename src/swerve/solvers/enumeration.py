@@ -96,6 +96,7 @@ class Enumeration:
         if num_sequences > self.max_sequences:
             size = f"{num_sequences:,}" if digits < 20 else f"10^{digits:.0f}"
             other = "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "ppo"
+            other = "tabular" if problem.mdp.space.is_lattice else other
             raise ValueError(
                 f"the enumeration solver would go through {num_actions}^{num_steps} = {size} "
                 f"action sequences, at most {self.max_sequences:,} are allowed (max_sequences): "
@@ -144,10 +145,10 @@ class EnumerationNominal:
             share = math.exp(np.logaddexp.reduce(leaves.log_weight) - log_mass[0])
             kept = _redrawn(kept, leaves, share, generator)
         with np.errstate(invalid="ignore"):  # nothing is allowed
-            avoid_probability = np.exp(np.minimum(log_mass[1:] - log_mass[0], 0.0))
+            log_ratio = np.minimum(log_mass[1:] - log_mass[0], 0.0)
         states = _replay(self.problem, task, kept)
         drawn = Drawn(states, kept.total_reward, kept.length, kept.violations)
-        return ExactAnswer(float(log_mass[0]), avoid_probability, drawn)
+        return ExactAnswer(float(log_mass[0]), log_ratio, drawn)
 
     def log_partition(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
         """Return log Z_C for sets C of hypotheses, over trajectories that avoid all in the set.

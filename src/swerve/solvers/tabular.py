@@ -30,6 +30,7 @@ from swerve.systems.tabular import TabularMDP
 
 BLOCK = 1 << 22  # (step, hypothesis) pairs that are carried forward at once
 MEMORY_BYTES = 8 << 30
+SMALLEST = 1e-280  # mass that is carried forward with all its digits
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Tabular:
         return TableNominal(
             problem,
             self,
-            States(mdp.states, mdp.successors, mdp.num_steps, mdp.state_index),
+            States(mdp.states, mdp.successors, mdp.num_steps, mdp.state_index, mdp.dt),
             lambda goal: mdp.rewards,
         )
 
@@ -101,12 +102,14 @@ class States(NamedTuple):
       successors: [S, A] the state that each action leads to, negative where it is not offered.
       num_steps: T.
       number: maps states [..., n] to the number of the nearest [...].
+      step: seconds that an action lasts.
     """
 
     states: np.ndarray
     successors: np.ndarray
     num_steps: int
     number: Callable[[Any], Any]
+    step: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +147,7 @@ class TableNominal:
         start, goal_table = self.start(task), self.goal_table(task.goal, avoiding)
         log_partition = float(goal_table.values[0, start])
         num_hypotheses = len(self.problem.hypotheses)
-        avoid = np.empty(num_hypotheses)
+        avoid = np.full(num_hypotheses, np.nan)
         block = max(8, BLOCK // self._bits.shape[0] // 8 * 8)
         for first in range(0, num_hypotheses if np.isfinite(log_partition) else 0, block):
             some = slice(first, min(first + block, num_hypotheses))
@@ -153,7 +156,19 @@ class TableNominal:
             avoid[some] = goal_table.avoid_probability(
                 start, enters, lambda part, share=share: advance(share * part)
             )
-        return ExactAnswer(log_partition, avoid, self._draw(task, start, goal_table, generator))
+        drawn = self._draw(task, start, goal_table, generator)
+        log_ratio = self._log_ratio(task, avoid, log_partition, avoiding)
+        return ExactAnswer(log_partition, log_ratio, drawn, self.table.step)
+
+    def _log_ratio(
+        self, task: Task, avoid: np.ndarray, log_partition: float, avoiding: Sequence[int]
+    ) -> np.ndarray:
+        """Return log Z_c / Z_0 [H]; those that are no number are worked out with c in force."""
+        tiny = np.flatnonzero(avoid < SMALLEST)
+        log_ratio = np.log(np.clip(avoid, SMALLEST, 1.0))
+        sets = [(*avoiding, int(index)) for index in tiny]
+        log_ratio[tiny] = self.log_partition(task, sets) - log_partition
+        return log_ratio
 
     def log_partition(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
         """Return log Z_C for each set C of hypotheses: of what avoids all of them, nats.
@@ -185,13 +200,26 @@ class TableNominal:
         problem, beta = self.problem, self.problem.beta
         offset = -np.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
         terminal, ended = self._ends(goal)
+        rewards = self.rewards(goal)
+        self._check_rewards("reward", np.where(allowed, rewards, 0.0))
+        self._check_rewards("terminal_reward", terminal)
         return Table(
             successors=np.maximum(self.table.successors, 0),
-            reward=np.where(allowed, _scaled(self.rewards(goal), beta) + offset, -np.inf),
+            reward=np.where(allowed, _scaled(rewards, beta) + offset, -np.inf),
             terminal=_scaled(terminal, beta),
             ended=ended,
             num_steps=self.table.num_steps,
         )
+
+    def _check_rewards(self, method: str, values: np.ndarray) -> None:
+        """Raise ValueError where a reward [S, ...] is NaN or +inf."""
+        wrong = np.argwhere(np.isnan(values) | np.isposinf(values))
+        if len(wrong):
+            state = self.table.states[wrong[0][0]].tolist()
+            raise ValueError(
+                f"{type(self.problem.mdp).__name__}.{method} is {values[tuple(wrong[0])]} in state "
+                f"{state}: expected a number, or -inf for what is not allowed"
+            )
 
     def _ends(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return r_T [S] and whether episodes end [S] at each state."""

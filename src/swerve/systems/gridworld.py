@@ -93,12 +93,13 @@ class Gridworld(TabularMDP):
         return jnp.where(self.terminated(state, goal), 0.0, -jnp.inf)
 
     def sample_task(self, key: Any) -> Task:
-        """Draw two different cells."""
+        """Draw two different cells that are no walls."""
         start, step = jax.random.split(key)
-        first = jax.random.randint(start, (), 0, self.num_states)
-        second = (first + jax.random.randint(step, (), 1, self.num_states)) % self.num_states
-        states = jnp.asarray(self.states, jnp.float32)
-        return Task(states[first], states[second])
+        blocked = [y * self.width + x for x, y in self.walls]
+        free = jnp.asarray(np.delete(self.states, blocked, axis=0), jnp.float32)
+        first = jax.random.randint(start, (), 0, len(free))
+        second = (first + jax.random.randint(step, (), 1, len(free))) % len(free)
+        return Task(free[first], free[second])
 
     def hypotheses(self) -> list[Constraint]:
         """Return every feature, every cell and every move as a constraint, in this order."""
@@ -122,6 +123,7 @@ def _successors(width: int, height: int, walls: tuple[Cell, ...]) -> np.ndarray:
     index = np.where(inside, y * width + x, NOWHERE)
     blocked = [wall_y * width + wall_x for wall_x, wall_y in walls]
     found = np.where(np.isin(index, blocked), NOWHERE, index).astype(np.int32)
+    found[blocked] = NOWHERE  # nobody is there
     found.flags.writeable = False  # it is shared
     return found
 

@@ -1,0 +1,355 @@
+"""Random tabular MDPs against a sum over all of their paths, and what holds for all of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from swerve import ActionBox, Box, Constraint, Problem, Task, Union, sample, tabular
+from swerve.exact import ExactAnswer
+from swerve.hypotheses import unpack
+from swerve.solvers.enumeration import Enumeration, EnumerationNominal
+from swerve.solvers.tabular import TableNominal, Tabular
+from swerve.systems.tabular import NOWHERE
+
+UNREACHABLE = r"task 0, from \[[0-9]\.0\] to \[\]: .*log Z_0 = -inf"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A tabular MDP, a start, and settings of a problem.
+
+    The hypotheses are its states, its actions, and a union of the last of both.
+
+    Attributes:
+      known: those of the hypotheses that are known.
+    """
+
+    successors: np.ndarray
+    rewards: np.ndarray
+    terminal: np.ndarray
+    num_steps: int
+    absorbing: tuple[int, ...] = ()
+    known: tuple[int, ...] = ()
+    start: int = 0
+    beta: float = 1.0
+    measure: str = "counting"
+    between_states: bool = False
+    order: tuple[int, ...] = ()
+
+    @property
+    def num_hypotheses(self) -> int:
+        return sum(self.successors.shape) + 1
+
+    @property
+    def constraints(self) -> list[Constraint]:
+        states, actions = map(range, self.successors.shape)
+        boxes = [Box(state=(s - 0.5, s + 0.5)) for s in states]
+        moves = [ActionBox(action=(a - 0.5, a + 0.5)) for a in actions]
+        return [*boxes, *moves, Union("last", [boxes[-1], moves[-1]])]
+
+    @property
+    def problem(self) -> Problem:
+        mdp = tabular(
+            self.successors,
+            self.rewards,
+            num_steps=self.num_steps,
+            terminal_rewards=self.terminal,
+            absorbing=self.absorbing,
+        )
+        constraints = self.constraints
+        return Problem(
+            mdp,
+            [constraints[k] for k in self.order or range(len(constraints))],
+            beta=self.beta,
+            measure=self.measure,
+            known=[constraints[k] for k in self.known],
+            between_states=self.between_states,
+        )
+
+    @property
+    def task(self) -> Task:
+        return Task(np.array([float(self.start)]), np.zeros(0))
+
+    @cached_property
+    def nominal(self) -> TableNominal:
+        return Tabular().learn(self.problem)
+
+    @cached_property
+    def answer(self) -> ExactAnswer:
+        return self.nominal.answer(self.task, np.random.default_rng(0))
+
+    def log_partition(self, *avoiding: Sequence[int]) -> np.ndarray:
+        return self.nominal.log_partition(self.task, avoiding)
+
+
+@dataclass(frozen=True)
+class Path:
+    """A trajectory, and the hypotheses that it enters."""
+
+    states: tuple[int, ...]
+    total_reward: float
+    entered: frozenset[int]
+
+
+def paths_of(model: Model) -> list[Path]:
+    """Return all trajectories that are allowed, one after another."""
+    num_states, num_actions = model.successors.shape
+    found: list[Path] = []
+
+    def entered_by(state: int, action: int, following: int) -> set[int]:
+        visited = {state, following}
+        if model.between_states:
+            visited = set(range(min(visited), max(visited) + 1))
+        last = (num_states - 1 in visited) or action == num_actions - 1
+        return visited | {num_states + action} | ({num_states + num_actions} if last else set())
+
+    def go(states: tuple[int, ...], reward: float, entered: frozenset[int]) -> None:
+        length, state = len(states) - 1, states[-1]
+        if length == model.num_steps or (length > 0 and state in model.absorbing):
+            found.append(Path(states, reward + model.terminal[state], entered))
+            return
+        for action, following in enumerate(model.successors[state].tolist()):
+            more = entered_by(state, action, following)
+            if following != NOWHERE and not more & set(model.known):
+                go((*states, following), reward + model.rewards[state, action], entered | more)
+
+    go((model.start,), 0.0, frozenset())
+    return [path for path in found if path.total_reward > -math.inf]
+
+
+def log_mass(model: Model, paths: Sequence[Path], avoiding: Sequence[int] = ()) -> float:
+    """Return log Z_C by summing."""
+    offset = math.log(model.successors.shape[1]) if model.measure == "uniform" else 0.0
+    weights = [
+        model.beta * path.total_reward - offset * (len(path.states) - 1)
+        for path in paths
+        if not path.entered & set(avoiding)
+    ]
+    return float(np.logaddexp.reduce(weights)) if weights else -math.inf
+
+
+@st.composite
+def models(draw: Any, *, ends_early: bool = True) -> Model:
+    """Draw a small MDP; its tables come from a seed, lest most of them be all alike."""
+    num_states, num_actions = draw(st.sampled_from([4, 3, 2, 1])), draw(st.sampled_from([3, 2, 1]))
+    shape = num_states, num_actions
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    start = int(generator.integers(num_states))
+    others = [state for state in range(num_states) if state != start]
+    moves = range(num_states, num_states + num_actions)
+    successors = generator.integers(num_states, size=shape)
+    rewards = -3.0 * generator.random(shape)
+    terminal = generator.integers(-16, 1, num_states) / 8.0  # exact in float32
+    return Model(
+        successors=np.where(generator.random(shape) < 0.15, NOWHERE, successors),
+        rewards=np.where(generator.random(shape) < 0.1, -1e3, rewards),
+        terminal=np.where(generator.random(num_states) < 0.2, -math.inf, terminal),
+        num_steps=draw(st.sampled_from([4, 3, 2, 1])),
+        absorbing=tuple(generator.permutation(others)[: ends_early * generator.integers(3)]),
+        known=tuple(generator.permutation([*others, *moves])[: generator.integers(2)]),
+        start=start,
+        beta=draw(st.sampled_from([0.3, 1.0, 4.0, 0.0])),
+        measure=draw(st.sampled_from(["counting", "uniform"])),
+        between_states=draw(st.booleans()),
+    )
+
+
+SINGLE = Model(np.array([[0, 0]]), np.array([[-1e3, -0.5]]), np.zeros(1), num_steps=3)
+ONE_STEP = Model(
+    np.array([[1, 2, 0], [-1, -1, -1], [0, 0, 0]]),
+    np.array([[-1.0, 0.0, -2.0]] * 3),
+    np.array([0.0, -1.0, -math.inf]),
+    num_steps=1,
+)
+ABSORBED = Model(
+    np.array([[0, 1, 2], [0, 0, 0], [3, 3, 0], [0, 1, 2]]),
+    np.array([[-0.5, -1e3, 0.0], [0.0, 0.0, 0.0], [-1.0, -0.25, -math.inf], [-1e3, -1e3, -1.0]]),
+    np.array([-math.inf, -0.5, 0.0, -1e3]),
+    num_steps=4,
+    absorbing=(1, 3),
+    between_states=True,
+)
+LOST = replace(ONE_STEP, terminal=np.array([-math.inf, -1.0, -math.inf]), known=(1,))
+
+
+@settings(max_examples=40, derandomize=True)
+@given(models(), st.data())
+def test_every_number_is_the_sum_over_paths(model: Model, data: st.DataObject) -> None:
+    members = st.sets(st.integers(0, model.num_hypotheses - 1), max_size=3)
+    assert_sums(model, model.nominal, data.draw(st.lists(members, max_size=4)))
+
+
+@pytest.mark.parametrize("solver", [Tabular(), Enumeration()], ids=lambda solver: solver.name)
+@pytest.mark.parametrize("beta", [0.0, 1.0, 30.0])
+@pytest.mark.parametrize("model", [SINGLE, ONE_STEP, ABSORBED, LOST])
+def test_special_models_are_sums_over_paths(
+    model: Model, beta: float, solver: Tabular | Enumeration
+) -> None:
+    model = replace(model, beta=beta)
+    pairs = itertools.combinations(range(model.num_hypotheses), 2)
+    assert_sums(model, solver.learn(model.problem), [set(pair) for pair in pairs])
+
+
+def assert_sums(
+    model: Model, nominal: TableNominal | EnumerationNominal, sets: Sequence[set[int]]
+) -> None:
+    paths = paths_of(model)
+    exact = log_mass(model, paths)
+    found = nominal.log_partition(model.task, [[], *(sorted(some) for some in sets)])
+    expected = [exact, *(log_mass(model, paths, sorted(some)) for some in sets)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    if exact == -math.inf:
+        with pytest.raises(ValueError, match=UNREACHABLE):
+            sample(nominal, model.task)
+        return
+    evidence = sample(nominal, model.task)
+    assert evidence.log_partition[0] == pytest.approx(exact, abs=1e-12, rel=1e-12)
+    singles = [log_mass(model, paths, [c]) for c in range(model.num_hypotheses)]
+    np.testing.assert_allclose(
+        evidence.summary.avoid_probability[0],
+        np.exp(np.array(singles) - exact),
+        rtol=1e-9,
+        atol=1e-300,
+    )
+
+
+@settings(max_examples=25, derandomize=True)
+@given(models())
+@example(ABSORBED)
+def test_constraints_take_mass_off_ever_less(model: Model) -> None:
+    """1 - Z_C / Z_0 is a coverage: monotone, and with less gain from c the larger the set is."""
+    assume(model.answer.log_partition > -math.inf)
+    chosen = np.argsort(np.abs(model.answer.avoid_probability - 0.5))[:5].tolist()
+    bits = range(len(chosen))
+    sets = range(2 ** len(chosen))
+    log_partition = model.log_partition(
+        *([chosen[k] for k in bits if some >> k & 1] for some in sets)
+    )
+    covered = 1.0 - np.exp(log_partition - log_partition[0])
+    for some, more in itertools.product(sets, repeat=2):
+        if some & more == some:
+            assert log_partition[more] <= log_partition[some]
+            for c in (1 << k for k in bits):
+                gains = [covered[group | c] - covered[group] for group in (some, more)]
+                assert gains[1] <= gains[0] + 1e-12
+
+
+@settings(max_examples=15, derandomize=True)
+@given(models(), st.data())
+def test_the_order_of_hypotheses_does_not_matter(model: Model, data: st.DataObject) -> None:
+    order = data.draw(st.permutations(range(model.num_hypotheses)))
+    other = replace(model, order=tuple(order))
+    assume(model.answer.log_partition > -math.inf)
+    values = model.log_partition([], order[:2])
+    np.testing.assert_array_equal(other.log_partition([], [1, 0]), values)
+    probability = model.answer.avoid_probability
+    np.testing.assert_allclose(other.answer.avoid_probability, probability[order], atol=1e-14)
+
+
+@settings(max_examples=15, derandomize=True)
+@given(models(), st.data())
+@example(replace(ABSORBED, between_states=False), None)
+def test_the_numbers_of_states_and_actions_do_not_matter(
+    model: Model, data: st.DataObject | None
+) -> None:
+    """Where states alone count: what lies between two states is a matter of their numbers."""
+    assume(model.answer.log_partition > -math.inf)
+    model = replace(model, between_states=False)
+    num_states = len(model.successors)
+    state_of, action_of = (
+        data.draw(st.permutations(range(num))) if data else list(reversed(range(num)))
+        for num in model.successors.shape
+    )
+    where = np.argsort(state_of)  # a state's new number
+    moves = [num_states + a for a in np.argsort(action_of)]
+    new_number = [*where.tolist(), *moves]
+    moved = np.where(model.successors == NOWHERE, NOWHERE, where[model.successors])
+    other = replace(
+        model,
+        successors=moved[state_of][:, action_of],
+        rewards=model.rewards[state_of][:, action_of],
+        terminal=model.terminal[state_of],
+        absorbing=tuple(new_number[s] for s in model.absorbing),
+        known=tuple(new_number[k] for k in model.known),
+        start=new_number[model.start],
+    )
+    value, found = model.answer.log_partition, other.answer.log_partition
+    assert found == pytest.approx(value, rel=1e-12, abs=1e-12)
+    np.testing.assert_allclose(
+        other.answer.avoid_probability[new_number],
+        model.answer.avoid_probability[:-1],
+        rtol=1e-9,
+        atol=1e-300,
+    )
+
+
+@settings(max_examples=15, derandomize=True)
+@given(models(ends_early=False), st.floats(-1e3, 100.0))
+@example(SINGLE, 700.0)
+def test_a_constant_added_to_all_rewards_moves_only_log_partition(
+    model: Model, constant: float
+) -> None:
+    assume(model.answer.log_partition > -math.inf)
+    other = replace(model, rewards=model.rewards + constant)
+    sets = [[], *([c] for c in range(model.num_hypotheses))]
+    values, found = model.log_partition(*sets), other.log_partition(*sets)
+    shift = model.beta * model.num_steps * constant
+    np.testing.assert_allclose(found, values + shift, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(
+        other.answer.avoid_probability,
+        model.answer.avoid_probability,
+        rtol=1e-9,
+        atol=1e-300,
+    )
+
+
+@settings(max_examples=15, derandomize=True)
+@given(models())
+@example(ABSORBED)
+@example(replace(ABSORBED, known=(2,), between_states=False))
+def test_drawn_trajectories_are_possible(model: Model) -> None:
+    """Each is one of the paths, with what it earns and enters, and stays where it ended."""
+    paths = paths_of(model)
+    assume(paths)
+    drawn = model.answer.drawn
+    entered = unpack(drawn.violations, model.num_hypotheses)
+    for k, length in enumerate(drawn.length):
+        states = drawn.states[k, :, 0].astype(int).tolist()
+        assert set(states[length:]) == {states[length]}
+        assert any(
+            path.states == tuple(states[: length + 1])
+            and path.entered == set(np.flatnonzero(entered[k]))
+            and math.isclose(path.total_reward, drawn.total_reward[k], abs_tol=1e-9)
+            for path in paths
+        )
+
+
+@pytest.mark.parametrize("beta", [1.0, 20.0])
+@pytest.mark.parametrize("num_steps", [1, 40])
+def test_extreme_rewards_keep_their_digits(beta: float, num_steps: int) -> None:
+    """A second action that costs 1,000 a step, and so is taken with probability exp(-1000 beta)."""
+    model = Model(
+        np.array([[0, 1], [0, 1]]),
+        np.array([[-1e3, -2e3], [-1e3, -2e3]]),
+        np.zeros(2),
+        num_steps=num_steps,
+        beta=beta,
+    )
+    evidence = sample(model.nominal, model.task)
+    np.testing.assert_array_equal(evidence.violation_probability[0], [1.0, 0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_allclose(
+        model.log_partition([], [1], [2], [0]),
+        [-1e3 * num_steps * beta, -1e3 * num_steps * beta, -2e3 * num_steps * beta, -math.inf],
+        rtol=1e-14,
+    )
+    assert (evidence.samples.total_reward == -1e3 * num_steps).all()
