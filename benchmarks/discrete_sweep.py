@@ -24,23 +24,12 @@ from accuracy import read_exact
 from rich.console import Console
 from rich.table import Table
 
-from swerve import Demonstration, Discrete, Problem, Task, infer, load_problem, sample
+from swerve import Demonstration, Discrete, Problem, infer, load_problem, sample
 from swerve.progress import progress_bar
-from swerve.solvers.tabular import TableNominal
 
 CELLS = (30, 60, 120)  # along each axis
 HOLDS = (3, 6, 12, 20)  # steps of 1/60 s
 RULES = ("centre", "majority")
-
-
-def snapped(demonstration: Demonstration, nominal: TableNominal) -> Demonstration:
-    """Return a demonstration moved to the centres of cells, each told once, its start too."""
-    numbers = nominal.table.number(demonstration.states)
-    kept = np.concatenate([[True], np.diff(numbers) != 0])
-    states = nominal.table.states[numbers[kept]]
-    if len(states) == 1:
-        states = np.repeat(states, 2, axis=0)
-    return Demonstration(demonstration.name, states, Task(states[0], demonstration.task.goal))
 
 
 def measure(
@@ -53,7 +42,7 @@ def measure(
     """Return the row of one setting."""
     began = time.perf_counter()
     nominal = solver.learn(problem)
-    moved = [snapped(demonstration, nominal) for demonstration in demonstrations]
+    moved = [nominal.snapped(demonstration) for demonstration in demonstrations]
     evidence = sample(nominal, [demonstration.task for demonstration in moved])
     result = infer(evidence, moved)
     error = np.abs(evidence.violation_probability - exact).max(axis=1)

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
 
-from swerve import MDP, Discrete, Gridworld, Problem, Task, grid, learn, sample
+from swerve import (
+    MDP,
+    Box,
+    Demonstration,
+    Discrete,
+    Gridworld,
+    Problem,
+    Task,
+    grid,
+    infer,
+    learn,
+    sample,
+)
 from swerve.solvers.discrete import Cells
 from swerve.solvers.tabular import TableNominal
 from swerve.space import TWO_PI, StateSpace
@@ -94,6 +109,86 @@ def test_an_action_is_held_and_its_rewards_are_added(hold: int) -> None:
     np.testing.assert_allclose(table.reward.ravel(), earned, rtol=1e-5)
 
 
+class Line(MDP):
+    """Steps of 1 to either side; beyond x = 5 the episode ends."""
+
+    state_names = ("x",)
+    action_names = ("step",)
+    actions = np.array([[-1.0], [1.0]])
+    bounds = ((-8.0, 8.0),)
+    dt = 1.0
+    num_steps = 6
+
+    def dynamics(self, state, action):
+        return state + action
+
+    def reward(self, state, action, next_state, goal):
+        return -0.5 - 0.1 * action[0]
+
+    def terminal_reward(self, state, goal):
+        return 0.2 * state[0]
+
+    def terminated(self, state, goal):
+        return state[0] > 5.0
+
+
+def test_an_episode_may_end_while_an_action_is_held() -> None:
+    """By hand: three choices from 2.5, each held for two steps; the fifth ends at 5.5."""
+    box = Box(x=(3.9, 5.1))
+    problem = Problem(Line(), [box], between_states=False)
+    evidence = sample(learn(problem, Discrete(num_cells=16, hold=2)), Task([2.5], [0.0]))
+    weight, avoiding, ended_early = {}, {}, 0
+    for choices in itertools.product((-1.0, 1.0), repeat=3):
+        x, reward, taken, path = 2.5, 0.0, [], [2.5]
+        for choice in choices:
+            taken.append(choice)
+            for _ in range(2):
+                if x <= 5.0:
+                    x += choice
+                    reward += -0.5 - 0.1 * choice
+            path.append(x)
+            if x > 5.0:
+                ended_early += len(taken) < 3
+                break
+        reward += 0.2 * x
+        weight[tuple(taken)] = math.exp(reward) / 2.0 ** len(taken)
+        avoiding[tuple(taken)] = not any(3.9 <= x < 5.1 for x in path)
+    assert ended_early
+    total = sum(weight.values())
+    share = sum(weight[key] for key in weight if avoiding[key]) / total
+    assert evidence.log_partition[0] == pytest.approx(math.log(total), abs=1e-6)
+    assert evidence.summary.avoid_probability[0, 0] == pytest.approx(share, abs=1e-6)
+    assert 0.1 < share < 0.9
+
+
+def test_demonstrations_are_moved_to_cells() -> None:
+    nominal = learn(Problem(Line(), [Box(x=(3.0, 4.0))]), Discrete(num_cells=8))
+    assert isinstance(nominal, TableNominal)
+    task = Task([0.4], [3.7])
+    states = np.array([[0.4], [1.1], [1.9], [2.2], [3.7]])  # cells of width 2
+    actions, times = np.arange(4.0)[:, None], np.arange(5.0)
+    moved = nominal.snapped(Demonstration("d", states, task, times, actions))
+    np.testing.assert_array_equal(moved.states, [[1.0], [3.0]])
+    np.testing.assert_array_equal(moved.times, [2.0, 4.0])
+    np.testing.assert_array_equal(moved.actions, [[2.0]])
+    np.testing.assert_array_equal(moved.task.start, [1.0])
+    np.testing.assert_array_equal(moved.task.goal, [3.7])
+    rests = nominal.snapped(Demonstration("r", states[:3], task, times[:3], actions[:2]))
+    np.testing.assert_array_equal(rests.states, [[1.0], [1.0]])
+    infer(sample(nominal, [moved.task, rests.task]), [moved, rests])
+
+
+def test_that_a_table_is_not_the_dynamics_is_said() -> None:
+    problem = Problem(Line(), [Box(x=(2.9, 3.1)), Box(x=(0.5, 1.5))])
+    evidence = sample(learn(problem, Discrete(num_cells=8)), Task([2.3], [0.0]))
+    first, second = infer(evidence).warnings
+    assert first.startswith("hypothesis 0 struck out: by Discrete(")
+    assert first.endswith(
+        "or it starts near an edge, and cells are too wide: give it more num_cells"
+    )
+    assert second.startswith("answers are exact for a table of cells, not for the dynamics")
+
+
 def test_the_majority_of_a_cell_may_go_elsewhere_than_its_centre() -> None:
     class Step(Wind):
         """Only the very middle of a cell stays."""
@@ -128,6 +223,8 @@ def test_settings_are_checked(settings: dict, message: str) -> None:
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match=r"one number for each of the states x, v, got \(8,\)"):
         learn(short_cart(), Discrete(num_cells=(8,)))
+    with pytest.raises(ValueError, match="hold: expected at most the 7 steps of an episode, got 8"):
+        learn(short_cart(), Discrete(hold=8))
     with pytest.raises(ValueError, match=r"need .* GiB, more than 8 GiB"):
         learn(short_cart(), Discrete(num_cells=30_000))
 

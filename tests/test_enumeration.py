@@ -431,7 +431,7 @@ def test_sets_of_hypotheses_are_checked(avoiding: list, message: str) -> None:
 
 
 def test_the_task_of_log_partition_is_checked() -> None:
-    with pytest.raises(ValueError, match=r"log_partition: expected one task, got 2"):
+    with pytest.raises(ValueError, match="task: expected a single one, got 2"):
         CART_NOMINAL.log_partition(Task.stack([CART_TASK, FAST]), [[0]])
     with pytest.raises(ValueError, match=r"expected a start of 2 numbers \(x, v\), got 1"):
         CART_NOMINAL.log_partition(Task(np.zeros(1), np.zeros(1)), [[0]])

@@ -25,7 +25,7 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import plots
+from swerve import Gridworld, Problem, learn, plots, sample
 from swerve.boxes import Box
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
@@ -174,6 +174,14 @@ class TestHypotheses:
         (wall,) = patches(axes_of(figure), "known constraint")
         np.testing.assert_allclose(extents(wall), [0.0, TWO_PI, 4.0, 4.5])
         assert "known constraint" in legend(figure)
+
+    def test_walls_of_a_gridworld_are_drawn(self) -> None:
+        world = Gridworld(width=4, height=3, num_steps=6, walls=((2, 1),))
+        problem = Problem(world, world.hypotheses(), measure="counting")
+        figure = plot_inference(infer(sample(learn(problem), Task([0.0, 0.0], [3.0, 2.0]))))
+        (wall,) = patches(axes_of(figure), "wall")
+        np.testing.assert_allclose(extents(wall), [1.5, 2.5, 0.5, 1.5])
+        assert "known constraint" not in legend(figure)
 
     def test_a_large_grid_is_one_image(self) -> None:
         large = grid(theta=(0.0, TWO_PI, 150), x=(0.0, 9.0, 150))

@@ -125,6 +125,27 @@ def test_an_action_that_does_not_make_the_step_is_named() -> None:
         divergence(PROBLEM, [wrong], np.zeros(1))
 
 
+def test_inference_refuses_actions_that_do_not_make_the_steps() -> None:
+    assert ROUND.actions is not None
+    evidence = sample(learn(PROBLEM), TASK)
+    wrong = Demonstration("wrong", ROUND.states, TASK, actions=ROUND.actions[::-1])
+    with pytest.raises(ValueError, match=r"wrong: step 1 leads .* action \[1.0, -1.0\] does not"):
+        infer(evidence, [wrong])
+    narrow = Demonstration("narrow", ROUND.states, TASK, actions=ROUND.actions[:, :1])
+    with pytest.raises(ValueError, match=r"narrow: .* columns dx, dy, got 1 of them"):
+        infer(evidence, [narrow])
+
+
+def test_states_between_the_lattice_points_are_refused() -> None:
+    states = ROUND.states.copy()
+    states[1] += 0.4
+    between = Demonstration("between", states, TASK, actions=ROUND.actions)
+    with pytest.raises(ValueError, match=r"between: row 2, column x: 0.4 lies between two states"):
+        infer(sample(learn(PROBLEM), TASK), [between])
+    with pytest.raises(ValueError, match=r"task 0: goal, column y: 0.3 lies between two states"):
+        sample(learn(PROBLEM), Task(TASK.start, TASK.goal + np.array([0.0, 0.3])))
+
+
 def test_resting_at_the_end_is_no_step() -> None:
     rests = Demonstration(
         "rests",
@@ -150,6 +171,8 @@ def test_more_steps_than_the_horizon_are_refused() -> None:
     long = walk("up", "up", "down", "right", "right", "down-right")
     with pytest.raises(ValueError, match="6 steps, more than the horizon of 5"):
         divergence(PROBLEM, [long], np.zeros(1))
+    with pytest.raises(ValueError, match="6 steps, more than the horizon of 5"):
+        infer(sample(learn(PROBLEM), TASK), [long])
 
 
 def test_what_no_sample_avoids_is_picked_as_a_bound() -> None:
@@ -159,6 +182,19 @@ def test_what_no_sample_avoids_is_picked_as_a_bound() -> None:
     first = greedy(evidence, [make_demonstration()], most=1)
     assert first[0].hypothesis == 5
     assert first[0].gain == pytest.approx(math.log(400.0))
+    assert first[0].standard_error == 1.0
+    columns[0, :, 6] = np.arange(400) % 2 == 0
+    after = greedy(evidence_of_columns(columns, grid(x=(0.0, 10.0, 10))), [make_demonstration()])
+    assert [pick.hypothesis for pick in after] == [5]  # no trajectory is left to tell of 6
+
+
+def test_gains_of_samples_come_with_their_errors() -> None:
+    """Of 400, half enter 5, and a quarter of the others 7: delta method of a binomial."""
+    columns = np.zeros((1, 400, 10), bool)
+    columns[0, :200, 5] = columns[0, 200:250, 7] = True
+    picks = greedy(evidence_of_columns(columns, grid(x=(0.0, 10.0, 10))), [make_demonstration()])
+    expected = [math.sqrt(0.5 * 0.5 / 400) / 0.5, math.sqrt(0.25 * 0.75 / 200) / 0.75]
+    np.testing.assert_allclose([pick.standard_error for pick in picks], expected, rtol=1e-6)
 
 
 def test_near_certain_violations_are_no_impossible_ones() -> None:
@@ -188,6 +224,22 @@ def test_sampled_greedy_leaves_out_what_enters_the_picks() -> None:
     )
     kept = [pick.log_partition[0] - picks[0].log_partition[0] for pick in picks]
     np.testing.assert_allclose(kept, [0.0, math.log(0.75)], atol=1e-6)
+
+
+def test_demonstrations_that_differ_by_rounding_are_the_same() -> None:
+    straight = walk("right", "right", "right")
+    near = Demonstration("near", straight.states + 1e-12, TASK, actions=straight.actions)
+    minus = Demonstration("minus", straight.states, Task(-TASK.start, TASK.goal))
+    alike = [straight, near, minus]
+    assert divergence(PROBLEM, alike, np.full(3, -2.0)) == pytest.approx(3.0 - 2.0)
+
+
+@pytest.mark.parametrize("values", [3.0, [1.0, 2.0], [[1.0]]])
+def test_divergence_takes_one_number_for_each_demonstration(values) -> None:
+    with pytest.raises(ValueError, match=r"one number for each of 1 demonstrations, .* got shape"):
+        divergence(PROBLEM, [ROUND], values)
+    with pytest.raises(ValueError, match="demonstrations: expected a list of at least one"):
+        divergence(PROBLEM, [], np.zeros(0))
 
 
 def test_bad_arguments(nominal: TableNominal) -> None:

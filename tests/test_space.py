@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swerve.space import TWO_PI, StateSpace, Task
+from swerve.space import TWO_PI, StateSpace, Task, Transitions
 
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
 angles = st.floats(-50.0, 50.0)
@@ -127,3 +127,11 @@ class TestTask:
     def test_an_empty_list_is_refused(self) -> None:
         with pytest.raises(ValueError, match="at least one task, got an empty list"):
             Task.stack([])
+
+
+class TestTransitions:
+    def test_states_that_nobody_can_be_in(self) -> None:
+        """On 3 x 2 points: a way along the lower row, whose last state offers nothing."""
+        successors = np.array([[1, -1], [2, 0], [-1, -1], [-1, -1], [-1, -1], [4, -1]])
+        transitions = Transitions((3, 2), successors, np.array([[1.0], [-1.0]]))
+        np.testing.assert_array_equal(transitions.isolated, [[0.0, 1.0]])

@@ -79,6 +79,8 @@ class TestTabular:
             ({"rewards": np.full((4, 2), np.inf)}, r"rewards\[0, 0\]: expected a .* got inf"),
             ({"rewards": np.full(4, np.nan)}, r"rewards\[0, 0\]: expected a number.* got nan"),
             ({"terminal_rewards": [0, 0, np.nan, 0]}, r"terminal_rewards\[2\]: .* got nan"),
+            ({"transitions": []}, r"at least one state and one action, got shape \(0,\)"),
+            ({"transitions": np.zeros((0, 2), int)}, r"at least one state .* got shape \(0, 2\)"),
             ({"absorbing": [4]}, r"absorbing: expected states from 0 to 3, got \[4\]"),
         ],
     )
@@ -129,7 +131,7 @@ class TestTabular:
 
     def test_indices_of_sets_are_checked(self) -> None:
         problem = Problem(tabular(RING, np.zeros(4), num_steps=3), [Box(state=(1.5, 2.5))])
-        with pytest.raises(ValueError, match="hypothesis 1: expected an index from 0 to 0"):
+        with pytest.raises(ValueError, match=r"avoiding\[1\]: expected indices from 0 to 0, got 1"):
             solve(problem).log_partition(START, [[0], [1]])
 
 
@@ -170,6 +172,26 @@ class TestGridworld:
     def test_cells_outside_are_refused(self) -> None:
         with pytest.raises(ValueError, match=r"walls: cell \(3, 0\) is not in the world of 3 x 2"):
             Gridworld(width=3, height=2, walls=((3, 0),))
+
+    @pytest.mark.parametrize(
+        ("settings", "message"),
+        [
+            ({"width": 2.5}, r"width: expected a whole number >= 1, got 2.5"),
+            ({"height": 0}, r"height: expected a whole number >= 1, got 0"),
+            ({"step_reward": math.nan}, r"step_reward: expected a number, got nan"),
+            ({"walls": (1, 1)}, r"cells as pairs of whole numbers, .* got \(1, 1\)"),
+            ({"cell_features": ("wet", ((1, 1),))}, r"names and their cells, .* got \('wet', "),
+            ({"cell_features": {"wet": (1, 1)}}, r"cells as pairs of whole numbers, .*\(1, 1\)"),
+        ],
+    )
+    def test_what_is_no_world(self, settings: dict, message: str) -> None:
+        with pytest.raises(ValueError, match=message):
+            Gridworld(**settings)
+
+    def test_features_are_a_dictionary_or_pairs(self) -> None:
+        pairs = (("wet", ((1, 1), (2, 1))),)
+        for given in (pairs, {"wet": [[1, 1], (2, 1)]}):
+            assert Gridworld(cell_features=given).cell_features == pairs  # pyright: ignore
 
     def test_its_tasks_are_cells(self) -> None:
         problem = gridworld()

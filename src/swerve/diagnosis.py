@@ -32,6 +32,7 @@ FAST = 3.0  # times the fastest nominal change of a state
 FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single steps fast
 TIME_SLACK = 0.1  # of the duration
 COARSE = 1.5  # of the model's steps, between two states of a demonstration
+TABLED = "Discrete("  # the solver that makes a table of continuous dynamics
 NUM_NAMES = 3  # demonstrations named in a warning
 
 
@@ -40,7 +41,7 @@ def warnings(inference: Inference) -> tuple[str, ...]:
     return (
         *_exhausted(inference),
         *_impossible(inference),
-        *(() if inference.evidence.is_exact else _sampling(inference)),
+        *(_tabled(inference) if inference.evidence.is_exact else _sampling(inference)),
         *_doubts(inference),
     )
 
@@ -172,7 +173,23 @@ def _impossible(inference: Inference) -> Iterator[str]:
         names = some_names([f"hypothesis {index}" for index in found])
         yield (
             f"{names} struck out: by {inference.evidence.solver} every trajectory of a task "
-            "enters, so nobody could do that task and obey"
+            f"enters, so nobody could do that task and obey{_or_coarse(inference)}"
+        )
+
+
+def _or_coarse(inference: Inference) -> str:
+    """Return what else it may be where cells are judged at their centres."""
+    if not inference.evidence.solver.startswith(TABLED):
+        return ""
+    return "; or it starts near an edge, and cells are too wide: give it more num_cells"
+
+
+def _tabled(inference: Inference) -> Iterator[str]:
+    """Yield that a table of continuous dynamics is not the dynamics."""
+    if inference.evidence.solver.startswith(TABLED):
+        yield (
+            "answers are exact for a table of cells, not for the dynamics: how far off they are is "
+            "not known. See whether they change with num_cells and hold"
         )
 
 

@@ -12,7 +12,7 @@ Shapes: N trajectories, H hypotheses.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,18 @@ class Estimate(NamedTuple):
 
     avoid_probability: np.ndarray
     avoid_variance: np.ndarray
+
+
+class LogRatio(NamedTuple):
+    """Estimates of log Z_c / Z_0, nats.
+
+    Attributes:
+      value: [..., H].
+      standard_error: [..., H].
+    """
+
+    value: np.ndarray
+    standard_error: np.ndarray
 
 
 def log_weights(
@@ -156,6 +168,23 @@ def avoid_probability(
     # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
     variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
     return Estimate(avoided, variance)
+
+
+def log_ratio(estimate: Estimate, resolution: Any) -> LogRatio:
+    """Return log Z_c / Z_0 and its standard error (delta method), nats.
+
+    Less than one trajectory's share cannot be told from nothing: there the log is that of the
+    share, a bound, with an error of 1. Elsewhere the error is at least the share.
+
+    Args:
+      estimate: [..., H].
+      resolution: [...] one trajectory's share, 1 / N or 1 / ESS.
+    """
+    least = np.asarray(resolution)[..., None]
+    avoid = np.maximum(estimate.avoid_probability, least)
+    relative = np.maximum(np.sqrt(estimate.avoid_variance) / avoid, least)
+    is_floored = estimate.avoid_probability < least
+    return LogRatio(np.log(avoid), np.where(is_floored, 1.0, relative))
 
 
 def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:

@@ -25,7 +25,7 @@ from swerve.samples import EXACT, Samples, Summary, equalise, log_weights, summa
 from swerve.space import Task
 
 KIND = "swerve-evidence"
-VERSION = 2
+VERSION = 3
 Fields = TypeVar("Fields", bound=tuple)
 
 MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
@@ -98,9 +98,7 @@ class Evidence:
     @property
     def log_ratio(self) -> np.ndarray:
         """[K, H] log(Z_c / Z_0) in nats, at least log(resolution); -inf where it is exactly 0."""
-        if self.is_exact:
-            return self.summary.log_ratio
-        return np.log(np.maximum(self.summary.avoid_probability, self.resolution[:, None]))
+        return self._estimate.value
 
     @property
     def standard_error(self) -> np.ndarray:
@@ -109,13 +107,15 @@ class Evidence:
         At least `resolution`, what one more trajectory could change; 1 where the ratio is floored;
         0 where answers are exact.
         """
+        return self._estimate.standard_error
+
+    @property
+    def _estimate(self) -> estimators.LogRatio:
+        summary = self.summary
         if self.is_exact:
-            return np.zeros_like(self.summary.avoid_probability)
-        least = self.resolution[:, None]
-        relative = np.sqrt(self.summary.avoid_variance) / np.maximum(
-            self.summary.avoid_probability, least
-        )
-        return np.where(self.is_floored, 1.0, np.maximum(relative, least))
+            return estimators.LogRatio(summary.log_ratio, np.zeros_like(summary.log_ratio))
+        estimate = estimators.Estimate(summary.avoid_probability, summary.avoid_variance)
+        return estimators.log_ratio(estimate, self.resolution)
 
     @property
     def log_partition(self) -> np.ndarray:

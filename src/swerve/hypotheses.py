@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from swerve.arguments import whole_number
 from swerve.boxes import ActionBox, Box
 from swerve.constraints import (
     Constraint,
@@ -313,6 +314,33 @@ def unpack(bits: np.ndarray, num_hypotheses: int) -> np.ndarray:
     """Return booleans [..., H] from packed bits [..., ceil(H / 8)]."""
     unpacked = np.unpackbits(bits, axis=-1, count=num_hypotheses, bitorder="little")
     return unpacked.astype(bool)
+
+
+def pack_sets(sets: Sequence[Sequence[int]], num_hypotheses: int) -> np.ndarray:
+    """Return sets of hypotheses as packed bits [S, ceil(H / 8)].
+
+    Raises:
+      ValueError: if one is no list of indices, or there is no hypothesis of an index.
+    """
+    members = np.zeros((len(sets), num_hypotheses), bool)
+    for k, indices in enumerate(sets):
+        if np.ndim(indices) != 1:
+            raise ValueError(
+                f"avoiding[{k}]: expected a list of hypotheses, as in [[], [3], [3, 7]], got "
+                f"{indices!r}"
+            )
+        for index in indices:
+            if whole_number(index, f"avoiding[{k}]", 0) >= num_hypotheses:
+                last = num_hypotheses - 1
+                raise ValueError(f"avoiding[{k}]: expected indices from 0 to {last}, got {index}")
+            members[k, index] = True
+    return np.packbits(members, axis=1, bitorder="little")
+
+
+def enters_set(violations: np.ndarray, members: np.ndarray) -> np.ndarray:
+    """Return whether packed bits [N, B] have one of a set in them, packed bits [B]."""
+    columns = np.flatnonzero(members)
+    return np.asarray((violations[:, columns] & members[columns]).any(axis=1))
 
 
 def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:

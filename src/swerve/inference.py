@@ -29,6 +29,7 @@ from swerve.problem import ProblemRecord
 from swerve.space import Actions
 from swerve.state_checks import (
     check_finite,
+    check_horizon,
     check_start,
     check_states,
     check_transitions,
@@ -350,7 +351,12 @@ def _judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.nd
     check_states(states, demonstration.times, problem.space, demonstration.name)
     check_start(states[0], demonstration.task, problem.space, demonstration.name)
     if problem.transitions is not None:
-        check_transitions(states, problem.transitions, demonstration.name)
+        actions = _actions(demonstration, problem, demonstration.actions is not None)
+        check_transitions(
+            states, actions and actions.values, problem.transitions, demonstration.name
+        )
+        num_moves = int((~problem.transitions.rests(states)).sum())
+        check_horizon(num_moves, problem.num_steps, demonstration.name)
     _check_known(demonstration, problem)
     _check_goal(demonstration, evidence)
     task = evidence.match(demonstration.task, demonstration.name)

@@ -28,9 +28,11 @@ from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
 from swerve import wording
+from swerve.boxes import Box
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import Inference
 from swerve.plane import Plane
+from swerve.problem import ProblemRecord
 
 NUM_LINES = 100  # nominal trajectories drawn, of all tasks together
 NUM_BARS = 12
@@ -227,11 +229,28 @@ def _draw_leaders(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
 
 
 def _draw_known(axes: Axes, inference: Inference, plane: Plane) -> None:
-    parts = [plane.rectangles(constraint) for constraint in inference.evidence.problem.known]
-    rectangles = np.concatenate([np.zeros((0, 4)), *parts])
-    if len(rectangles):
-        label = "known constraint"
-        axes.add_patch(_patch(rectangles, facecolor=KNOWN, linewidth=0, label=label))
+    """Darken the known constraints, and the states of a lattice where nobody can be."""
+    problem = inference.evidence.problem
+    for label, constraints in (
+        ("known constraint", problem.known),
+        ("wall", _walls(problem)),
+    ):
+        parts = [plane.rectangles(constraint) for constraint in constraints]
+        rectangles = np.concatenate([np.zeros((0, 4)), *parts])
+        if len(rectangles):
+            patch = _patch(rectangles, facecolor=KNOWN, linewidth=0, label=label)
+            axes.add_patch(patch)
+
+
+def _walls(problem: ProblemRecord) -> list[Box]:
+    """Return the states of a lattice that no action leads to or from, as squares of side 1."""
+    if problem.transitions is None:
+        return []
+    names = problem.space.names
+    return [
+        Box(**{name: (x - 0.5, x + 0.5) for name, x in zip(names, state, strict=True)})
+        for state in problem.transitions.isolated.tolist()
+    ]
 
 
 def _draw_nominal(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:

@@ -177,7 +177,7 @@ class ProblemRecord:
             "action_names": list(self.action_names),
             "goal_names": list(self.goal_names),
             "transitions": self.transitions
-            and [list(self.transitions.shape), self.transitions.successors.tolist()],
+            and [np.asarray(values).tolist() for values in self.transitions],
         }
 
     @classmethod
@@ -191,10 +191,13 @@ class ProblemRecord:
                 "known": tuple(constraint_from_json(item) for item in data["known"]),
                 "action_names": tuple(data["action_names"]),
                 "goal_names": tuple(data["goal_names"]),
-                "transitions": data["transitions"]
-                and Transitions(tuple(data["transitions"][0]), np.array(data["transitions"][1])),
+                "transitions": data["transitions"] and _transitions(*data["transitions"]),
             }
         )
+
+
+def _transitions(shape: list, successors: list, actions: list) -> Transitions:
+    return Transitions(tuple(shape), np.array(successors), np.array(actions))
 
 
 def _mdp_name(mdp: MDP) -> str:

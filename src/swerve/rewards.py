@@ -11,7 +11,7 @@ import numpy as np
 
 from swerve.demonstrations import Demonstration
 from swerve.mdp import MDP
-from swerve.state_checks import check_transitions
+from swerve.state_checks import check_horizon, check_transitions
 from swerve.systems.tabular import TabularMDP
 
 
@@ -26,27 +26,27 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
     """
     name, states, actions = demonstration.name, demonstration.states, demonstration.actions
     if isinstance(mdp, TabularMDP):
-        states = states[: _num_before_rest(mdp, demonstration)]
-    if len(states) - 1 > mdp.num_steps:
-        raise ValueError(
-            f"{name}: {len(states) - 1} steps, more than the horizon of {mdp.num_steps}"
-        )
-    if actions is not None:
-        actions = actions[: len(states) - 1]
-    if isinstance(mdp, TabularMDP):
-        index = mdp.state_index(states)
-        check_transitions(states, mdp.transitions, name)
-        fits = mdp.successors[index[:-1]] == index[1:, None]  # [L-1, A]
-        if actions is None:
-            return np.asarray(mdp.actions, float)[_only_way(fits, demonstration)]
-        taken = mdp.action_index(actions)
-        _check_possible(fits[np.arange(len(taken)), taken], demonstration)
+        return _tabular_actions(mdp, demonstration)
+    check_horizon(len(states) - 1, mdp.num_steps, name)
     if actions is None:
         raise ValueError(
             f"{name}: expected actions {', '.join(mdp.action_names)}, got none: what a "
             "demonstration earned depends on them"
         )
-    return actions
+    return actions[: len(states) - 1]
+
+
+def _tabular_actions(mdp: TabularMDP, demonstration: Demonstration) -> np.ndarray:
+    """Return the actions [L-1, m] of a demonstration up to where it rests."""
+    actions, transitions = demonstration.actions, mdp.transitions
+    states = demonstration.states[: _num_before_rest(mdp, demonstration)]
+    check_transitions(states, actions, transitions, demonstration.name)
+    fits = transitions.fits(states)
+    num_moves = np.flatnonzero(fits.any(axis=1)).max(initial=-1) + 1
+    check_horizon(num_moves, mdp.num_steps, demonstration.name)
+    if actions is not None:
+        return actions[:num_moves]
+    return transitions.actions[_only_way(fits[:num_moves], demonstration)]
 
 
 def _num_before_rest(mdp: TabularMDP, demonstration: Demonstration) -> int:
@@ -60,7 +60,7 @@ def _num_before_rest(mdp: TabularMDP, demonstration: Demonstration) -> int:
     ended = np.flatnonzero(np.asarray(ends))
     if not len(ended):
         return len(states)
-    number = mdp.state_index(states)
+    number = mdp.transitions.number(states)
     if (number[ended[0] :] != number[ended[0]]).any():
         raise ValueError(
             f"{demonstration.name}: the episode has ended in state {ended[0]} (counted from 0), "
@@ -80,19 +80,6 @@ def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) ->
     path, taken = jnp.asarray(states, jnp.float32), jnp.asarray(actions, jnp.float32)
     steps = jax.vmap(mdp.reward, (0, 0, 0, None))(path[:-1], taken, path[1:], goal)
     return float(np.asarray(steps, float).sum()) + end
-
-
-def _check_possible(possible: np.ndarray, demonstration: Demonstration) -> None:
-    """Raise ValueError where the action of a step [L-1] is not the one that makes it."""
-    wrong = np.flatnonzero(~possible)
-    if len(wrong):
-        step = int(wrong[0])
-        assert demonstration.actions is not None
-        before, after = demonstration.states[step : step + 2].tolist()
-        raise ValueError(
-            f"{demonstration.name}: step {step + 1} leads from {before} to {after}, which action "
-            f"{demonstration.actions[step].tolist()} does not do"
-        )
 
 
 def _only_way(fits: np.ndarray, demonstration: Demonstration) -> np.ndarray:

@@ -24,6 +24,7 @@ from swerve import estimators
 from swerve.arguments import whole_number
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
+from swerve.hypotheses import enters_set, pack_sets
 from swerve.inference import Inference, infer
 from swerve.nominal import ExactNominal
 from swerve.problem import Problem
@@ -31,10 +32,11 @@ from swerve.rewards import taken_actions, total_reward
 from swerve.sampling import sample
 from swerve.space import Task
 
+DIGITS = 9  # by which demonstrations are told apart
 TIED = 1e-9  # relative: gains closer than this are one, and the lowest index is taken
 
-Conditional = Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]
-"""Maps hypotheses picked to log Z_C [K] and log P(avoid c | avoid C) [K, H], both in nats."""
+Conditional = Callable[[list[int]], estimators.LogRatio]
+"""Maps hypotheses picked, C, to log P(avoid c | avoid C) [K, H] and its standard error, nats."""
 
 
 class Pick(NamedTuple):
@@ -44,11 +46,14 @@ class Pick(NamedTuple):
       hypothesis: its index.
       gain: nats a demonstration that it takes off the KL divergence; where next to no sample is
         left that avoids it, no more than the samples can tell.
+      standard_error: of the gain, nats; 0 where answers are exact, infinite where no sample of a
+        task is left that could tell.
       log_partition: [K] log Z_C with this one and all before it in force, nats.
     """
 
     hypothesis: int
     gain: float
+    standard_error: float
     log_partition: np.ndarray
 
 
@@ -69,7 +74,8 @@ def greedy(
       most: picks at most; any number if None.
 
     Returns:
-      The picks, in order.
+      The picks, in order. What speaks against the samples they rest on is in the `warnings` of
+      `infer`.
 
     Raises:
       ValueError: if there is no demonstration, the threshold is below zero or no number, exact
@@ -88,14 +94,18 @@ def greedy(
         start, conditional = _exact(source, demonstrations)
     left = np.asarray(~start.entered.any(axis=0))
     share = start.task_counts / len(demonstrations)
+    given = estimators.LogRatio(start.evidence.log_ratio, start.evidence.standard_error)
+    log_partition = start.evidence.log_partition
     picks: list[Pick] = []
-    _, log_ratio = conditional(())
     while left.any() and (most is None or len(picks) < most):
-        index, gain = _best(share, log_ratio, left)
+        if picks:
+            given = conditional([pick.hypothesis for pick in picks])
+        index, gain = _best(share, given.value, left)
         if gain < max(threshold, TIED):
             break
-        log_partition, log_ratio = conditional((*(pick.hypothesis for pick in picks), index))
-        picks.append(Pick(index, gain, log_partition))
+        error = float(np.linalg.norm((share * given.standard_error[:, index])[share > 0]))
+        log_partition = log_partition + given.value[:, index]
+        picks.append(Pick(index, gain, error, log_partition))
         left[index] = False
     return picks
 
@@ -119,26 +129,25 @@ def _of_samples(evidence: Evidence) -> Conditional:
     num_hypotheses = len(evidence.problem.hypotheses)
     bits = evidence.samples.violations
 
-    def conditional(picked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        chosen = np.zeros(num_hypotheses, bool)
-        chosen[list(picked)] = True
-        mask = np.packbits(chosen, bitorder="little")
-        log_partition, log_ratio = [], []
+    def conditional(picked: list[int]) -> estimators.LogRatio:
+        [members] = pack_sets([picked], num_hypotheses)
+        rows = []
         for k, log_weight in enumerate(evidence.log_weight):
-            clean = np.where((bits[k] & mask).any(axis=1), -np.inf, log_weight)
-            if np.isneginf(clean).all():  # no more can be told than what one sample would
-                least = estimators.effective_sample_size(log_weight)
-                log_partition.append(evidence.log_partition[k] - np.log(least))
-                log_ratio.append(np.zeros(num_hypotheses))
-                continue
-            kept = estimators.log_partition(clean) - estimators.log_partition(log_weight)
-            log_partition.append(evidence.log_partition[k] + kept)
-            avoid = estimators.avoid_probability(clean, bits[k], num_hypotheses).avoid_probability
-            least = 1.0 / estimators.effective_sample_size(clean)  # what samples resolve
-            log_ratio.append(np.log(np.maximum(avoid, least)))
-        return np.array(log_partition), np.array(log_ratio)
+            clean = np.where(enters_set(bits[k], members), -np.inf, log_weight)
+            rows.append(_log_ratio(clean, bits[k], num_hypotheses))
+        return estimators.LogRatio(*map(np.array, zip(*rows, strict=True)))
 
     return conditional
+
+
+def _log_ratio(
+    log_weight: np.ndarray, bits: np.ndarray, num_hypotheses: int
+) -> estimators.LogRatio:
+    """Estimate log Z_c / Z_C [H] from trajectories whose weights are 0 where they enter C."""
+    if np.isneginf(log_weight).all():  # nothing is left that could tell
+        return estimators.LogRatio(np.zeros(num_hypotheses), np.full(num_hypotheses, np.inf))
+    estimate = estimators.avoid_probability(log_weight, bits, num_hypotheses)
+    return estimators.log_ratio(estimate, 1.0 / estimators.effective_sample_size(log_weight))
 
 
 def _exact(
@@ -149,15 +158,13 @@ def _exact(
     rows = np.unique(np.hstack(tasks), axis=0)
     distinct = Task(*np.split(rows, [tasks.start.shape[1]], axis=1))
 
-    def conditional(picked: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def conditional(picked: list[int]) -> estimators.LogRatio:
         answers = [
             nominal.answer(Task(*task), np.random.default_rng(0), avoiding=picked)
             for task in zip(*distinct, strict=True)
         ]
-        return (
-            np.array([answer.log_partition for answer in answers]),
-            np.array([answer.log_ratio for answer in answers]),
-        )
+        log_ratio = np.array([answer.log_ratio for answer in answers])
+        return estimators.LogRatio(log_ratio, np.zeros_like(log_ratio))
 
     return infer(sample(nominal, distinct), demonstrations), conditional
 
@@ -176,17 +183,30 @@ def divergence(
       log_partition: [D] log Z_C of the task of each demonstration, nats.
 
     Raises:
-      ValueError: if a demonstration lacks actions, or has a step that the MDP does not allow.
+      ValueError: if there is not one log Z_C for each demonstration, or a demonstration lacks
+        actions, or has a step that the MDP does not allow.
     """
+    if isinstance(demonstrations, Demonstration) or not len(demonstrations):
+        raise ValueError("demonstrations: expected a list of at least one")
+    log_partition = np.asarray(log_partition, float)
+    if log_partition.shape != (len(demonstrations),):
+        raise ValueError(
+            f"log_partition: expected one number for each of {len(demonstrations)} demonstrations, "
+            f"that of its task, got shape {log_partition.shape}"
+        )
     log_measure = -math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
     tasks, paths, terms = [], [], []
     for demonstration, value in zip(demonstrations, log_partition, strict=True):
         actions = taken_actions(problem.mdp, demonstration)
         reward = total_reward(problem.mdp, demonstration, actions)
         terms.append(value - problem.beta * reward - log_measure * len(actions))
-        task = np.concatenate(demonstration.task).tobytes()
-        tasks.append(task)
-        paths.append((task, demonstration.states.tobytes(), actions.tobytes()))
+        tasks.append(_key(*demonstration.task))
+        paths.append((tasks[-1], _key(demonstration.states, actions)))
     of_task, of_path = Counter(tasks), Counter(paths)
     log_share = [math.log(of_path[path] / of_task[path[0]]) for path in paths]
     return float(np.mean(log_share) + np.mean(terms))
+
+
+def _key(*arrays: np.ndarray) -> bytes:
+    """Return what is the same for arrays of the same shapes that are the same but for rounding."""
+    return np.concatenate([np.round(a, DIGITS).ravel() + 0.0 for a in arrays]).tobytes()

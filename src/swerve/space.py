@@ -13,6 +13,7 @@ Shapes: n state dimensions, ... any batch dimensions.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -66,31 +67,55 @@ class Transitions(NamedTuple):
     Attributes:
       shape: number of values of each component of a state; the first varies fastest.
       successors: [S, A] numbers of the states that actions lead to, negative where not offered.
+      actions: [A, m].
     """
 
     shape: tuple[int, ...]
     successors: np.ndarray
+    actions: np.ndarray
+
+    @property
+    def isolated(self) -> np.ndarray:
+        """[U, n] the states, such as walls, to which no action leads and where none is offered."""
+        alone = np.flatnonzero((self.successors < 0).all(axis=1))
+        alone = alone[~np.isin(alone, self.successors)]
+        index = np.unravel_index(alone, self.shape, order="F")
+        return np.stack(index, axis=-1).astype(float)
 
     def number(self, states: Any) -> Any:
         """Return the number [...] of the states nearest to [..., n], NumPy or JAX."""
-        xp = states.__array_namespace__()
-        index, stride = 0, 1
-        for component, size in enumerate(self.shape):
-            value = xp.clip(xp.round(states[..., component]), 0, size - 1)
-            index = index + stride * value.astype(xp.int32)
-            stride *= size
-        return index
+        return lattice_number(states, self.shape)
 
-    def first_impossible(self, states: np.ndarray) -> int | None:
-        """Return the first step [0, L-2] of states [L, n] that no action makes, or None.
+    def action_number(self, actions: Any) -> Any:
+        """Return the number [...] of the actions nearest to [..., m], NumPy or JAX."""
+        return nearest(actions, self.actions)
 
-        To stay in the last state, once it is reached, is no step.
-        """
+    def fits(self, states: np.ndarray) -> np.ndarray:
+        """Return which actions [L-1, A] make the steps of states [L, n]."""
         number = self.number(states)
-        possible = (self.successors[number[:-1]] == number[1:, None]).any(axis=1)
-        rests = np.logical_and.accumulate((number == number[-1])[::-1])[::-1][:-1]
-        wrong = np.flatnonzero(~(possible | rests))
-        return int(wrong[0]) if len(wrong) else None
+        return np.asarray(self.successors[number[:-1]] == number[1:, None])
+
+    def rests(self, states: np.ndarray) -> np.ndarray:
+        """Return which steps [L-1] of states [L, n] are none: staying in the last, once there."""
+        number = self.number(states)
+        return np.logical_and.accumulate((number == number[-1])[::-1])[::-1][:-1]
+
+
+def lattice_number(states: Any, shape: Sequence[int]) -> Any:
+    """Return the number [...] of the lattice points nearest to [..., n], NumPy or JAX."""
+    xp = states.__array_namespace__()
+    index, stride = 0, 1
+    for component, size in enumerate(shape):
+        value = xp.clip(xp.round(states[..., component]), 0, size - 1)
+        index = index + stride * value.astype(xp.int32)
+        stride *= size
+    return index
+
+
+def nearest(values: Any, table: Any) -> Any:
+    """Return the number [...] of the row of a table [A, m] nearest to [..., m], NumPy or JAX."""
+    xp = values.__array_namespace__()
+    return ((values[..., None, :] - xp.asarray(table)) ** 2).sum(axis=-1).argmin(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

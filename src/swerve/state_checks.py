@@ -17,6 +17,7 @@ START_TOLERANCE = 1e-3
 """How far a first state may lie from the start of its task, and a start or a goal outside the
 bounds, in units of the extent of the state space."""
 
+LATTICE_TOLERANCE = 1e-3
 MAX_HALF_EXTENTS = 10
 MAX_TURNS = 10
 MAX_ARC = 0.45 * TWO_PI
@@ -45,7 +46,8 @@ def check_states(
       ValueError: if there are fewer than 2 states, a number is NaN or infinite, the times do not
         strictly increase, a state is so far out that its unit must be wrong (more than
         MAX_HALF_EXTENTS half extents from the middle of the bounds, MAX_TURNS turns for an
-        angle), or an angle changes by more than MAX_ARC [rad] between two samples.
+        angle), or no whole number on a lattice, or an angle changes by more than MAX_ARC [rad]
+        between two samples.
     """
     states = shaped(states, (None, len(space.names)), "states", where)
     if len(states) < 2:
@@ -55,6 +57,8 @@ def check_states(
     if times is not None:
         _check_times(shaped(times, (len(states),), "times", where), at)
     _check_units(states, space, at)
+    if space.is_lattice:
+        _check_lattice(states, space, at)
     _check_arcs(states, space, at)
 
 
@@ -119,6 +123,15 @@ def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
     )
 
 
+def _check_lattice(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
+    """Raise ValueError where a state [L, n] is between those that there are."""
+    for row, column in np.argwhere(np.abs(states - np.round(states)) > LATTICE_TOLERANCE)[:1]:
+        raise ValueError(
+            f"{at(row)}, column {space.names[column]}: {states[row, column]:.6g} lies between two "
+            "states: expected a whole number"
+        )
+
+
 def _check_arcs(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
     arcs = np.abs(space.difference(states[:-1], states[1:]))
     wide = np.argwhere((arcs > MAX_ARC) & space.is_angle)
@@ -132,7 +145,7 @@ def _check_arcs(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
 
 
 def check_bounds(task: Task, space: StateSpace, goal_names: Sequence[str], where: str) -> None:
-    """Raise ValueError where a start, or a goal that is a state, lies outside the bounds."""
+    """Raise ValueError where a start, or a goal that is a state, is no state within the bounds."""
     low, high = space.bounds.T
     slack = START_TOLERANCE * space.extent
     for part, state in task._asdict().items():
@@ -145,6 +158,8 @@ def check_bounds(task: Task, space: StateSpace, goal_names: Sequence[str], where
                 f"bounds [{low[column]:.6g}, {high[column]:.6g}] of the state space; correct it, "
                 f"or widen the MDP's bounds"
             )
+        if space.is_lattice:
+            _check_lattice(state[None], space, lambda row, part=part: f"{where}: {part}")
 
 
 def check_start(state: np.ndarray, task: Task, space: StateSpace, where: str) -> None:
@@ -161,12 +176,39 @@ def check_start(state: np.ndarray, task: Task, space: StateSpace, where: str) ->
         )
 
 
-def check_transitions(states: np.ndarray, transitions: Transitions, where: str) -> None:
-    """Raise ValueError where no action of a tabular MDP makes a step of states [L, n]."""
-    step = transitions.first_impossible(states)
-    if step is not None:
+def check_transitions(
+    states: np.ndarray, actions: np.ndarray | None, transitions: Transitions, where: str
+) -> None:
+    """Raise ValueError where a step of states [L, n] is not what actions of a tabular MDP make.
+
+    Args:
+      states: [L, n].
+      actions: [L-1, m] or more, the one that is said to make each step; None: any may.
+      transitions: of the MDP.
+      where: the demonstration, for messages.
+    """
+    fits, rests = transitions.fits(states), transitions.rests(states)
+    for step in np.flatnonzero(~(fits.any(axis=1) | rests))[:1]:
         before, after = states[step : step + 2].tolist()
         raise ValueError(
             f"{where}: step {step + 1} leads from {before} to {after}, which no action does: "
             "correct the demonstration, or the transitions of the MDP"
+        )
+    if actions is None:
+        return
+    taken = transitions.action_number(actions[: len(fits)])
+    for step in np.flatnonzero(~(fits[np.arange(len(fits)), taken] | rests))[:1]:
+        before, after = states[step : step + 2].tolist()
+        raise ValueError(
+            f"{where}: step {step + 1} leads from {before} to {after}, which action "
+            f"{actions[step].tolist()} does not do"
+        )
+
+
+def check_horizon(num_moves: int, num_steps: int, where: str) -> None:
+    """Raise ValueError where a demonstration takes more steps than an episode of the MDP has."""
+    if num_moves > num_steps:
+        raise ValueError(
+            f"{where}: {num_moves} steps, more than the horizon of {num_steps}: correct the "
+            "demonstration, or raise num_steps"
         )

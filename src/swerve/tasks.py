@@ -106,3 +106,15 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
         )
         raise ValueError(f"tasks: task {k} starts at {start[k].tolist()}, {where} already")
     return Task(start, goal)
+
+
+def checked_task(problem: Problem, task: Task) -> Task:
+    """Return a single task, start [n] and goal [g], float64.
+
+    Raises:
+      ValueError: as `checked_tasks`, or if there are several.
+    """
+    start, goal = checked_tasks(problem, task)
+    if len(start) != 1:
+        raise ValueError(f"task: expected a single one, got {len(start)}")
+    return Task(start[0], goal[0])

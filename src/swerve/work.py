@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from swerve.problem import Problem
 
 RESULTS = ("*.nominal", "*.evidence", "*.checkpoint")
-FORMAT = 2  # of problem.json
+FORMAT = 3  # of problem.json
 NUM_PRIOR_TASKS = 8
 SAVE_INTERVAL = 60.0  # s between two saves while sampling
 

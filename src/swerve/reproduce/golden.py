@@ -15,6 +15,7 @@ actions.
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,10 +23,38 @@ import numpy as np
 
 from swerve.demonstrations import Demonstration
 from swerve.problem import Problem
-from swerve.selection import Pick, divergence, greedy
-from swerve.solvers.tabular import Tabular
+from swerve.selection import divergence, greedy
+from swerve.solvers.tabular import TableNominal, Tabular
 from swerve.space import Task
 from swerve.systems.gridworld import MOVES, Cell, Gridworld
+
+
+class Picked(NamedTuple):
+    """Constraints picked one after another.
+
+    Attributes:
+      hypotheses: [P] their indices.
+      gains: [P] nats a demonstration; NaN where not told.
+      kl: [P+1] KL divergence before the first pick and after each, nats; NaN where not told.
+    """
+
+    hypotheses: list[int]
+    gains: list[float]
+    kl: list[float]
+
+
+class Agreement(NamedTuple):
+    """How far picks are those of a golden output.
+
+    Attributes:
+      same: sequences of picks that are the same.
+      number: sequences in all.
+      error: largest difference of a KL divergence in those that are the same, nats.
+    """
+
+    same: int
+    number: int
+    error: float
 
 
 class Golden(NamedTuple):
@@ -38,7 +67,7 @@ class Golden(NamedTuple):
       threshold: of the picks [nats a demonstration].
       sizes: how many demonstrations were used.
       sets: demonstrations, the first D of which were used.
-      selected: for each set and size the picks and the KL divergence [nats] after each.
+      selected: for each set and size what was picked, without gains and the first KL.
     """
 
     problem: Problem
@@ -47,7 +76,7 @@ class Golden(NamedTuple):
     threshold: float
     sizes: list[int]
     sets: list[list[Demonstration]]
-    selected: list[list[list[tuple[int, float]]]]
+    selected: list[list[Picked]]
 
 
 def read_golden(path: Path) -> Golden:
@@ -125,7 +154,11 @@ def _golden(data: dict[str, Any]) -> Golden:
         ],
         selected=[
             [
-                [(first[pick["type"]][pick["value"]], pick["kl"]) for pick in picks]
+                Picked(
+                    [first[pick["type"]][pick["value"]] for pick in picks],
+                    [math.nan] * len(picks),
+                    [math.nan, *(pick["kl"] for pick in picks)],
+                )
                 for picks in sizes
             ]
             for sizes in (found["selected"] for found in data["sets"])
@@ -133,31 +166,32 @@ def _golden(data: dict[str, Any]) -> Golden:
     )
 
 
-def compare(golden: Golden) -> tuple[int, int, float]:
-    """Pick anew from every set and size.
-
-    Returns:
-      How many sequences of picks are the same, of how many, and the largest difference of a KL
-      divergence in those that are [nats].
-    """
+def compare(golden: Golden) -> Agreement:
+    """Pick anew from every set and size, and compare with what was picked."""
     nominal = Tabular().learn(golden.problem)
-    same, error = 0, 0.0
-    for demonstrations, selected in zip(golden.sets, golden.selected, strict=True):
-        for size, expected in zip(golden.sizes, selected, strict=True):
-            used = demonstrations[:size]
-            picks = greedy(nominal, used, threshold=golden.threshold)
-            if [pick.hypothesis for pick in picks] != [index for index, _ in expected]:
-                continue
-            same += 1
-            found = kl_after(golden.problem, used, picks)
-            error = max([error, *np.abs(found - [kl for _, kl in expected])])
-    return same, sum(len(selected) for selected in golden.selected), error
+    found = [
+        [pick(nominal, demonstrations[:size], golden.threshold) for size in golden.sizes]
+        for demonstrations in golden.sets
+    ]
+    return agree(found, golden.selected)
 
 
-def kl_after(
-    problem: Problem, demonstrations: list[Demonstration], picks: list[Pick]
-) -> np.ndarray:
-    """Return the KL divergence after each pick [nats], for demonstrations of a single task."""
-    num = len(demonstrations)
-    start = divergence(problem, demonstrations, np.zeros(num))
-    return np.array([start + float(pick.log_partition[0]) for pick in picks])
+def pick(nominal: TableNominal, demonstrations: list[Demonstration], threshold: float) -> Picked:
+    """Pick constraints from demonstrations of a single task; threshold in nats a demonstration."""
+    picks = greedy(nominal, demonstrations, threshold=threshold)
+    start = divergence(nominal.problem, demonstrations, np.zeros(len(demonstrations)))
+    free = nominal.log_partition(demonstrations[0].task, [()])
+    after = [float(value) for value in (free[0], *(pick.log_partition[0] for pick in picks))]
+    return Picked(
+        [pick.hypothesis for pick in picks],
+        [pick.gain for pick in picks],
+        [start + value for value in after],
+    )
+
+
+def agree(found: list[list[Picked]], golden: list[list[Picked]]) -> Agreement:
+    """Compare sequences of picks [E][L] with golden ones."""
+    pairs = [pair for rows in zip(found, golden, strict=True) for pair in zip(*rows, strict=True)]
+    same = [(ours, theirs) for ours, theirs in pairs if ours.hypotheses == theirs.hypotheses]
+    errors = [np.abs(np.subtract(ours.kl[1:], theirs.kl[1:])) for ours, theirs in same]
+    return Agreement(len(same), len(pairs), float(np.concatenate([[0.0], *errors]).max()))

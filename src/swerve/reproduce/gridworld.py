@@ -27,10 +27,9 @@ import numpy as np
 from swerve.demonstrations import Demonstration
 from swerve.problem import Problem
 from swerve.progress import progress_bar
-from swerve.reproduce.golden import Golden, read_golden
+from swerve.reproduce.golden import Agreement, Golden, Picked, agree, pick, read_golden
 from swerve.rewards import taken_actions
-from swerve.selection import divergence, greedy
-from swerve.solvers.tabular import TableNominal, Tabular
+from swerve.solvers.tabular import Tabular
 from swerve.space import Task
 from swerve.systems.gridworld import MOVES, Cell, Gridworld
 
@@ -48,20 +47,6 @@ FEATURES: tuple[tuple[str, tuple[Cell, ...]], ...] = (
 )
 TRUE_FEATURES, TRUE_MOVES = ("A",), ("down-left", "down-right")
 TRUE_CELLS: tuple[Cell, ...] = ((3, 3), (4, 4), (6, 3), (7, 2), (1, 6))
-
-
-class Picked(NamedTuple):
-    """Constraints picked one after another.
-
-    Attributes:
-      hypotheses: [P] their indices.
-      gains: [P] nats a demonstration.
-      kl: [P+1] KL divergence before the first pick and after each, nats.
-    """
-
-    hypotheses: list[int]
-    gains: list[float]
-    kl: list[float]
 
 
 class Curves(NamedTuple):
@@ -85,20 +70,6 @@ class Curves(NamedTuple):
     def false_rate(self) -> np.ndarray:
         """[K, E, L] share of the picks that are false positives; 0 without picks."""
         return self.num_false / np.maximum(self.num_picks, 1)
-
-
-class Agreement(NamedTuple):
-    """How far picks are those of a golden output.
-
-    Attributes:
-      same: sequences of picks that are the same.
-      number: sequences in all.
-      error: largest difference of a KL divergence in those that are the same, nats.
-    """
-
-    same: int
-    number: int
-    error: float
 
 
 class Result(NamedTuple):
@@ -208,24 +179,10 @@ def measure(world: Golden, *, progress: bool = False) -> Result:
     answer = nominal.answer(world.task, np.random.default_rng(0))
     golden = agreement = None
     if world.selected:
-        published = [[_golden_picks(picks) for picks in sizes] for sizes in world.selected]
-        golden = curves([published], world, [world.threshold])
-        agreement = agree(cuts[thresholds.index(world.threshold)], published)
+        golden = curves([world.selected], world, [world.threshold])
+        agreement = agree(cuts[thresholds.index(world.threshold)], world.selected)
     violation = np.clip(1.0 - answer.avoid_probability, 0.0, 1.0)  # which rounding leaves
     return Result(world, curves(cuts, world, thresholds), golden, agreement, violation)
-
-
-def pick(nominal: TableNominal, demonstrations: list[Demonstration], threshold: float) -> Picked:
-    """Pick constraints from demonstrations of a single task; threshold in nats a demonstration."""
-    picks = greedy(nominal, demonstrations, threshold=threshold)
-    start = divergence(nominal.problem, demonstrations, np.zeros(len(demonstrations)))
-    free = nominal.log_partition(demonstrations[0].task, [()])
-    after = [float(value) for value in (free[0], *(pick.log_partition[0] for pick in picks))]
-    return Picked(
-        [pick.hypothesis for pick in picks],
-        [pick.gain for pick in picks],
-        [start + value for value in after],
-    )
 
 
 def cut(picked: Picked, threshold: float) -> Picked:
@@ -247,17 +204,3 @@ def curves(picked: list[list[list[Picked]]], world: Golden, thresholds: list[flo
         num_false=count(lambda one: len(set(one.hypotheses) - world.truth)),
         kl=count(lambda one: one.kl[-1]),
     )
-
-
-def agree(found: list[list[Picked]], golden: list[list[Picked]]) -> Agreement:
-    """Compare sequences of picks [E][L] with golden ones."""
-    pairs = [pair for rows in zip(found, golden, strict=True) for pair in zip(*rows, strict=True)]
-    same = [(ours, theirs) for ours, theirs in pairs if ours.hypotheses == theirs.hypotheses]
-    errors = [np.abs(np.subtract(ours.kl[1:], theirs.kl[1:])) for ours, theirs in same]
-    return Agreement(len(same), len(pairs), float(np.concatenate([[0.0], *errors]).max()))
-
-
-def _golden_picks(picks: list[tuple[int, float]]) -> Picked:
-    """Return golden picks, whose gains and first KL are not told."""
-    indices = [index for index, _ in picks]
-    return Picked(indices, [np.nan] * len(picks), [np.nan, *(kl for _, kl in picks)])

@@ -79,7 +79,6 @@ class Discrete:
         hold = self._hold(problem)
         held = _held(problem, hold)
         successors = _successors(cells, held, problem, self.rule)
-        num_steps = -(-problem.mdp.num_steps // hold)
         centres = jnp.asarray(cells.centres, jnp.float32)
 
         mdp = problem.mdp
@@ -95,7 +94,9 @@ class Discrete:
                 )
             return np.asarray(held(centres, target)[1], float)
 
-        table = States(cells.centres, successors, num_steps, cells.number, hold * mdp.dt)
+        table = States(
+            cells.centres, successors, self._num_steps(problem), cells.number, hold * mdp.dt
+        )
         return TableNominal(problem, self, table, rewards)
 
     def check(self, problem: Problem) -> None:
@@ -112,7 +113,12 @@ class Discrete:
                 f"Discrete: num_cells: expected one number for each of the states "
                 f"{', '.join(mdp.state_names)}, got {shape}"
             )
-        num_steps = -(-mdp.num_steps // self._hold(problem))
+        if self.hold > mdp.num_steps:
+            raise ValueError(
+                f"Discrete: hold: expected at most the {mdp.num_steps} steps of an episode, got "
+                f"{self.hold}"
+            )
+        num_steps = self._num_steps(problem)
         check_size(math.prod(shape), mdp.num_actions, num_steps, len(problem.hypotheses))
 
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TableNominal:
@@ -127,6 +133,10 @@ class Discrete:
 
     def _hold(self, problem: Problem) -> int:
         return self.hold or max(1, round(problem.mdp.num_steps / DEFAULT_STEPS))
+
+    def _num_steps(self, problem: Problem) -> int:
+        """Return how many choices come nearest to an episode of the MDP."""
+        return max(1, round(problem.mdp.num_steps / self._hold(problem)))
 
 
 class Cells:

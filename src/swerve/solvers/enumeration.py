@@ -31,11 +31,12 @@ from jaxtyping import Array, Float
 from swerve import estimators
 from swerve.arguments import whole_number
 from swerve.exact import Drawn, ExactAnswer
+from swerve.hypotheses import enters_set, pack_sets
 from swerve.problem import Problem
 from swerve.samples import NUM_KEPT
 from swerve.solvers.grid import MAX_DIMENSIONS
 from swerve.space import Actions, Task
-from swerve.tasks import checked_tasks
+from swerve.tasks import checked_task
 from swerve.trajectory import Step, take_step
 
 BLOCK = 1 << 14  # paths that are made at once: few enough to stay in cache
@@ -137,7 +138,7 @@ class EnumerationNominal:
         size = PRODUCT // min(num_hypotheses + 7, 8 * estimators.BLOCK)
         log_mass = np.full(1 + num_hypotheses, -np.inf)  # Z_0 and every Z_c so far
         kept = _weighed(self.problem, 0, _root(self.problem, task.start).at(slice(0)))
-        [mask] = _masks([avoiding], num_hypotheses)
+        [mask] = pack_sets([avoiding], num_hypotheses)
         for leaves in _walk(self.problem, task, advance, mask):
             for first in range(0, len(leaves.code), size):
                 part = leaves.at(slice(first, first + size))
@@ -163,16 +164,13 @@ class EnumerationNominal:
         Raises:
           ValueError: if the task or an index does not fit the problem, or as for `answer`.
         """
-        starts, goals = checked_tasks(self.problem, task)
-        if len(starts) != 1:
-            raise ValueError(f"log_partition: expected one task, got {len(starts)}")
-        masks = _masks(avoiding, len(self.problem.hypotheses))
+        task = checked_task(self.problem, task)
+        masks = pack_sets(avoiding, len(self.problem.hypotheses))
         log_mass = np.full(len(masks), -np.inf)
         none = np.zeros_like(masks[:1]).reshape(-1)
-        for leaves in _walk(self.problem, Task(starts[0], goals[0]), lambda share: None, none):
+        for leaves in _walk(self.problem, task, lambda share: None, none):
             for k, mask in enumerate(masks):
-                columns = np.flatnonzero(mask)
-                avoids = ~(leaves.violations[:, columns] & mask[columns]).any(axis=1)
+                avoids = ~enters_set(leaves.violations, mask)
                 log_mass[k] = np.logaddexp.reduce(leaves.log_weight[avoids], initial=log_mass[k])
         return log_mass
 
@@ -234,7 +232,7 @@ def _walk(
         step, nodes = waiting.pop()
         children, ended = _expand(problem, task.goal, step, nodes)
         if avoiding.any():
-            avoids = np.asarray(~(children.violations & avoiding).any(axis=1))
+            avoids = ~enters_set(children.violations, avoiding)
             children, ended = children.at(avoids), ended[avoids]
         if ended.any():
             yield _weighed(problem, step + 1, children.at(ended))
@@ -363,17 +361,3 @@ def _replay(problem: Problem, task: Task, kept: _Leaves) -> np.ndarray:
         state = np.where((step < kept.length)[:, None], following, state)
         states.append(state)
     return np.stack(states, axis=1)
-
-
-def _masks(avoiding: Sequence[Sequence[int]], num_hypotheses: int) -> np.ndarray:
-    """Return sets of hypotheses as packed bits [S, B]."""
-    members = np.zeros((len(avoiding), num_hypotheses), bool)
-    for k, indices in enumerate(avoiding):
-        if np.ndim(indices) != 1:
-            raise ValueError(f"avoiding[{k}]: expected a list of hypotheses, got {indices!r}")
-        for index in indices:
-            if whole_number(index, f"avoiding[{k}]", 0) >= num_hypotheses:
-                last = num_hypotheses - 1
-                raise ValueError(f"avoiding[{k}]: expected indices from 0 to {last}, got {index}")
-            members[k, index] = True
-    return np.packbits(members, axis=1, bitorder="little")

@@ -20,13 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve.constraints import violates
+from swerve.demonstrations import Demonstration
 from swerve.exact import Drawn, ExactAnswer
-from swerve.hypotheses import unpack
+from swerve.hypotheses import enters_set, pack_sets, unpack
 from swerve.problem import Problem
 from swerve.samples import NUM_KEPT
 from swerve.solvers.table import Table
 from swerve.space import Actions, Task
 from swerve.systems.tabular import TabularMDP
+from swerve.tasks import checked_task
 
 BLOCK = 1 << 22  # (step, hypothesis) pairs that are carried forward at once
 MEMORY_BYTES = 8 << 30
@@ -167,7 +169,7 @@ class TableNominal:
         tiny = np.flatnonzero(avoid < SMALLEST)
         log_ratio = np.log(np.clip(avoid, SMALLEST, 1.0))
         sets = [(*avoiding, int(index)) for index in tiny]
-        log_ratio[tiny] = self.log_partition(task, sets) - log_partition
+        log_ratio[tiny] = self._log_partitions(task, sets) - log_partition
         return log_ratio
 
     def log_partition(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
@@ -178,8 +180,12 @@ class TableNominal:
           avoiding: sets of hypotheses, by index; an empty one gives log Z_0.
 
         Raises:
-          ValueError: if there is no hypothesis of an index.
+          ValueError: if the task or an index does not fit the problem.
         """
+        pack_sets(avoiding, len(self.problem.hypotheses))  # refuses what is no such list
+        return self._log_partitions(checked_task(self.problem, task), avoiding)
+
+    def _log_partitions(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
         start = self.start(task)
         return np.array([self.goal_table(task.goal, c).values[0, start] for c in avoiding])
 
@@ -187,16 +193,32 @@ class TableNominal:
         """Return the number of the state where a task starts."""
         return int(self.table.number(np.asarray(task.start, float)))
 
+    def snapped(self, demonstration: Demonstration) -> Demonstration:
+        """Return a demonstration moved to the states of the table, its start too, each told once.
+
+        Of its actions and times those are kept with which it goes on to another state.
+        """
+        number = self.table.number(demonstration.states)
+        leaves = np.flatnonzero(np.diff(number))
+        kept = np.append(leaves, len(number) - 1)
+        if not len(leaves):  # it never leaves one; two states are the least
+            leaves, kept = np.zeros(1, int), np.array([0, len(number) - 1])
+        states = self.table.states[number[kept]]
+        return Demonstration(
+            demonstration.name,
+            states,
+            Task(states[0], demonstration.task.goal),
+            None if demonstration.times is None else demonstration.times[kept],
+            None if demonstration.actions is None else demonstration.actions[leaves],
+        )
+
     def goal_table(self, goal: np.ndarray, avoiding: Sequence[int] = ()) -> Table:
         """Return the table of one goal, in nats, without steps that enter known constraints.
 
         Nor has it steps that enter one of the hypotheses to be avoided.
         """
-        enters = np.zeros(self._bits.shape[0], bool)
-        for index in avoiding:
-            self.problem.hypotheses.constraint(index)  # refuses one that is not there
-            enters |= (self._bits[:, index >> 3] >> (index & 7) & 1).astype(bool)
-        allowed = self._allowed & ~enters.reshape(self._allowed.shape)
+        [members] = pack_sets([avoiding], len(self.problem.hypotheses))
+        allowed = self._allowed & ~enters_set(self._bits, members).reshape(self._allowed.shape)
         problem, beta = self.problem, self.problem.beta
         offset = -np.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
         terminal, ended = self._ends(goal)

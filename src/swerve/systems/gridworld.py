@@ -8,6 +8,8 @@ A move that would leave the world, or enter a wall, is not offered. The goal end
 from __future__ import annotations
 
 import functools
+import operator
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from swerve.arguments import whole_number
 from swerve.boxes import ActionBox, Box
 from swerve.constraints import Constraint, Union
 from swerve.problem import Problem
@@ -34,6 +37,31 @@ MOVES = {
 }
 
 
+def _cells(cells: Iterable[Cell]) -> tuple[Cell, ...]:
+    """Return cells as pairs of whole numbers."""
+    try:
+        pairs = [(operator.index(x), operator.index(y)) for x, y in cells]
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"Gridworld: expected cells as pairs of whole numbers, ((4, 4), (5, 4)), got {cells!r}"
+        ) from error
+    return tuple(pairs)
+
+
+def _features(
+    features: Mapping[str, Iterable[Cell]] | Iterable[tuple[str, Iterable[Cell]]],
+) -> tuple[tuple[str, tuple[Cell, ...]], ...]:
+    """Return features as pairs of a name and cells."""
+    pairs: list[Any] = list(features.items() if isinstance(features, Mapping) else features)
+    for pair in pairs:
+        if isinstance(pair, str) or len(pair) != 2 or not isinstance(pair[0], str):
+            raise ValueError(
+                "Gridworld: cell_features: expected names and their cells, "
+                f'{{"wet": ((2, 1), (3, 1))}}, got {features!r}'
+            )
+    return tuple((name, _cells(cells)) for name, cells in pairs)
+
+
 class Gridworld(TabularMDP):
     """A walker in a world of width x height cells, who takes one of eight moves at a time.
 
@@ -44,23 +72,30 @@ class Gridworld(TabularMDP):
       height: number of rows.
       num_steps: T, the most moves.
       step_reward: of a move, diagonal ones included.
-      walls: cells that cannot be entered.
-      cell_features: (name, cells) pairs, each to be hypothesised as one.
+      walls: cells (x, y) that cannot be entered.
+      cell_features: a dictionary of names and their cells, or (name, cells) pairs; each feature is
+        to be hypothesised as one.
     """
 
     width: int = eqx.field(static=True, default=9)
     height: int = eqx.field(static=True, default=9)
     num_steps: int = eqx.field(static=True, default=24)
     step_reward: float = -1.0
-    walls: tuple[Cell, ...] = eqx.field(static=True, default=())
-    cell_features: tuple[tuple[str, tuple[Cell, ...]], ...] = eqx.field(static=True, default=())
+    walls: tuple[Cell, ...] = eqx.field(static=True, default=(), converter=_cells)
+    cell_features: tuple[tuple[str, tuple[Cell, ...]], ...] = eqx.field(
+        static=True, default=(), converter=_features
+    )
 
     state_names = ("x", "y")
     action_names = ("dx", "dy")
     actions = jnp.array(list(MOVES.values()), jnp.float32)
 
     def __check_init__(self) -> None:
-        """Raise ValueError where a cell is not in the world."""
+        """Raise ValueError where there is no world, or a cell is not in it."""
+        for name in ("width", "height"):
+            whole_number(getattr(self, name), f"Gridworld: {name}", 1)
+        if np.isnan(self.step_reward) or self.step_reward == np.inf:
+            raise ValueError(f"Gridworld: step_reward: expected a number, got {self.step_reward}")
         for name, cells in (("walls", self.walls), *self.cell_features):
             for cell in cells:
                 if not (0 <= cell[0] < self.width and 0 <= cell[1] < self.height):

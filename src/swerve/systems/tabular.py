@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve.mdp import MDP
-from swerve.space import StateSpace, Task, Transitions
+from swerve.space import StateSpace, Task, Transitions, lattice_number, nearest
 
 NOWHERE = -1  # the successor of an action that a state does not offer
 
@@ -54,7 +54,7 @@ class TabularMDP(MDP):
     @property
     def transitions(self) -> Transitions:
         """Which state follows which."""
-        return Transitions(tuple(self.shape), self.successors)
+        return Transitions(tuple(self.shape), self.successors, np.asarray(self.actions, float))
 
     @property
     def num_states(self) -> int:
@@ -69,13 +69,11 @@ class TabularMDP(MDP):
 
     def state_index(self, states: Any) -> Any:
         """Return the number [...] of states [..., n], NumPy or JAX; beyond the edge, the edge."""
-        return self.transitions.number(states)
+        return lattice_number(states, self.shape)
 
     def action_index(self, actions: Any) -> Any:
         """Return the number [...] of the action nearest to each of actions [..., m]."""
-        xp = actions.__array_namespace__()
-        table = xp.asarray(self.actions)
-        return ((actions[..., None, :] - table) ** 2).sum(axis=-1).argmin(axis=-1)
+        return nearest(actions, self.actions)
 
     def dynamics(self, state: Any, action: Any) -> Any:
         """Return the successor, or the state itself where the action is not offered."""
@@ -200,6 +198,11 @@ def _checked_rewards(name: str, rewards: Any, shape: tuple[int, ...]) -> np.ndar
 
 def _successors(transitions: Any) -> np.ndarray:
     """Return successors [S, A] from any of the forms that `tabular` takes."""
+    if not np.size(transitions) or not len(transitions):
+        raise ValueError(
+            "transitions: expected at least one state and one action, got shape "
+            f"{np.shape(transitions)}"
+        )
     is_list = isinstance(transitions, Sequence) and hasattr(transitions[0], "tocsr")
     if not is_list and np.ndim(transitions) == 2:
         successors = np.asarray(transitions)
