@@ -1,6 +1,7 @@
 """How good discretised dynamics can get: a sweep over cells, time step and transition rule.
 
     python benchmarks/discrete_sweep.py --data DIR [--torque 10] [--truth 55] [--quick] [--json]
+                                        [--cells 30 60 120] [--holds 3 6 12 20] [--rules centre]
 
 DIR is laid out as for accuracy.py. For every setting of the discrete solver the tasks of the
 demonstrations are solved exactly on its table, demonstrations are moved to the centres of its cells
@@ -90,6 +91,9 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--torque", default="10")
     parser.add_argument("--truth", type=int, default=55)
+    parser.add_argument("--cells", type=int, nargs="+", default=CELLS, help="along each axis")
+    parser.add_argument("--holds", type=int, nargs="+", default=HOLDS, help="steps of 1/60 s")
+    parser.add_argument("--rules", nargs="+", choices=RULES, default=RULES)
     parser.add_argument("--quick", action="store_true", help="three settings, eight demonstrations")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -99,7 +103,7 @@ def main() -> None:
         problem.mdp.space,
         tasks=arguments.data / "tasks.csv",
     )
-    settings = list(itertools.product(CELLS, HOLDS, RULES))
+    settings = list(itertools.product(arguments.cells, arguments.holds, arguments.rules))
     if arguments.quick:
         demonstrations, settings = demonstrations[:8], settings[:6:2]
     path = arguments.data / f"exact_violation_torque{arguments.torque}.csv"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import pytest
 from command import CONSTRAINT, ROBOT, Run
 from hypothesis import settings
@@ -17,6 +19,15 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 settings.register_profile("swerve", deadline=None)  # no test may fail for being slow
 settings.load_profile("swerve")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What one test has compiled no other compiles again: most of the time goes there."""
+    folder = tempfile.TemporaryDirectory(prefix="swerve-tests-")  # of this run alone
+    config.add_cleanup(folder.cleanup)
+    Path(folder.name).chmod(0o777)  # see `nobody`
+    jax.config.update("jax_compilation_cache_dir", folder.name)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 @pytest.fixture(scope="session")

@@ -59,7 +59,7 @@ from swerve.systems.gridworld import MOVES, cell_box, move_box
 STANDARD_ERRORS = 4.5
 NUM = 20_000
 SMALL_PPO = PPO(
-    num_steps=500_000,
+    num_steps=300_000,
     num_lanes=128,
     segment=16,
     num_minibatches=4,
@@ -72,12 +72,14 @@ settings = pytest.mark.parametrize(
 )
 
 
+@cache
 def enumerated(problem: Problem) -> EnumerationNominal:
     nominal = learn(problem, Enumeration())
     assert isinstance(nominal, EnumerationNominal)
     return nominal
 
 
+@cache
 def tabulated(problem: Problem) -> TableNominal:
     nominal = learn(problem, Tabular())
     assert isinstance(nominal, TableNominal)
