@@ -5,6 +5,7 @@ Shapes: L states of a demonstration, n state dimensions, m action dimensions.
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -55,12 +56,11 @@ def _num_before_rest(mdp: TabularMDP, demonstration: Demonstration) -> int:
     Raises:
       ValueError: if it goes on elsewhere after its end.
     """
-    states, goal = demonstration.states, jnp.asarray(demonstration.task.goal, jnp.float32)
-    ends = jax.vmap(mdp.terminated, (0, None))(jnp.asarray(states, jnp.float32), goal)
-    ended = np.flatnonzero(np.asarray(ends))
+    number = mdp.transitions.number(demonstration.states)
+    _, ends = _at_states(mdp, jnp.asarray(demonstration.task.goal, jnp.float32))
+    ended = np.flatnonzero(np.asarray(ends)[number])
     if not len(ended):
-        return len(states)
-    number = mdp.transitions.number(states)
+        return len(number)
     if (number[ended[0] :] != number[ended[0]]).any():
         raise ValueError(
             f"{demonstration.name}: the episode has ended in state {ended[0]} (counted from 0), "
@@ -69,14 +69,23 @@ def _num_before_rest(mdp: TabularMDP, demonstration: Demonstration) -> int:
     return int(ended[0]) + 1
 
 
+@eqx.filter_jit
+def _at_states(mdp: TabularMDP, goal: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return r_T [S] and whether episodes end [S] at the states of a tabular MDP."""
+    states = jnp.asarray(mdp.states, jnp.float32)
+    terminal = jax.vmap(mdp.terminal_reward, (0, None))(states, goal)
+    return terminal, jax.vmap(mdp.terminated, (0, None))(states, goal)
+
+
 def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) -> float:
     """Return R(xi) of a demonstration that took the actions of `taken_actions`."""
     states = demonstration.states[: len(actions) + 1]
     goal = jnp.asarray(demonstration.task.goal, jnp.float32)
-    end = float(mdp.terminal_reward(jnp.asarray(states[-1], jnp.float32), goal))
     if isinstance(mdp, TabularMDP):
-        place = mdp.state_index(states[:-1]), mdp.action_index(actions)
-        return float(mdp.rewards[place].sum()) + end
+        number = mdp.transitions.number(states)
+        end = np.asarray(_at_states(mdp, goal)[0], float)[number[-1]]
+        return float(mdp.rewards[number[:-1], mdp.action_index(actions)].sum() + end)
+    end = float(mdp.terminal_reward(jnp.asarray(states[-1], jnp.float32), goal))
     path, taken = jnp.asarray(states, jnp.float32), jnp.asarray(actions, jnp.float32)
     steps = jax.vmap(mdp.reward, (0, 0, 0, None))(path[:-1], taken, path[1:], goal)
     return float(np.asarray(steps, float).sum()) + end
