@@ -135,7 +135,7 @@ def table(result: Result) -> str:
                 values[k, :, place].mean()
                 for values in (curves.num_false, curves.num_picks, curves.kl)
             )
-            cells.append(f"{false:>5.1f} /{picks:>5.1f}{kl:>7.3f}")
+            cells.append(f"{false:>5.1f} /{picks:>5.1f}{round(kl, 3) + 0.0:>7.3f}")
         lines.append("  ".join(cells))
     if (agreement := result.agreement) is not None:
         lines.append(
