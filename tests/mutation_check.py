@@ -152,8 +152,8 @@ MUTANTS = (
     Mutant(
         "keep the pick that gains less than the threshold",
         "selection.py",
-        "        if gain < threshold:\n            break\n",
-        "        if picks and picks[-1].gain < threshold:\n            break\n",
+        "        if gain < max(threshold, TIED):\n",
+        "        if picks and picks[-1].gain < max(threshold, TIED):\n",
         "test_selection",
     ),
     Mutant(
