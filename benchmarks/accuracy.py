@@ -1,6 +1,7 @@
 """How right the answers are: against exact violation probabilities and real demonstrations.
 
-    python benchmarks/accuracy.py --data DIR [--solver grid] [--json] [--figure FILE] [--work DIR]
+    python benchmarks/accuracy.py --data DIR [--solver grid] [--method smc] [--json] [--figure FILE]
+                                  [--work DIR]
 
 DIR holds demo_*.csv, tasks.csv (demo, start_theta, start_omega, goal_theta, goal_omega) and one or
 more exact_violation_torque<max_torque>.csv: for each demonstration the exact probability that an
@@ -8,9 +9,11 @@ unconstrained trajectory of its task enters each of the 100 cells of the pendulu
 states alone. For every such file three tables are printed:
 
 1. accuracy: the largest error over cells, at the worst and at the median task, for equal and for
-   importance weights; ESS as a share of N; KL(pi || pi_0) [nats] with log Z_0 from the grid solver
-   at its default resolution, whatever solver is measured; wall time to learn and sample [s], or
-   "stored" (null in JSON) where --work held results of the solver, so that it says nothing;
+   importance weights, or for "smc"; ESS as a share of N; KL(pi || pi_0) [nats] with
+   log Z_0 from the grid solver at its default resolution, whatever solver is measured (for "smc"
+   KL(pi_0 || pi) as the samples estimate it); the largest error of log Z_0 [nats]; wall time to
+   learn and sample [s], or "stored" (null in JSON) where --work held results of the solver, so that
+   it says nothing;
 2. the ranking by all demonstrations, in nats, beside the one from the exact probabilities;
 3. the rank of the true cell (--truth) against the number of demonstrations, averaged over random
    subsets, ties counted half, and how often it is first. Whether a cell is entered by no trajectory
@@ -37,7 +40,7 @@ from rich.table import Table
 from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, sample
 from swerve.estimators import kl_divergence
 from swerve.inference import SCORES
-from swerve.samples import summarise
+from swerve.samples import METHODS, REWEIGHED, summarise
 from swerve.specification import Specification, load_problem
 from swerve.work import RESULTS, Settings, Work
 
@@ -59,7 +62,7 @@ class Setting(NamedTuple):
     Attributes:
       max_torque: of the pendulum.
       exact: [K, H] exact violation probabilities, in the order of the demonstrations.
-      evidence: importance-weighted, of the same tasks.
+      evidence: of the same tasks.
       exact_log_partition: [K] log Z_0 from the grid solver at its default resolution, nats.
       seconds: wall time to learn and sample; None where results were stored before.
     """
@@ -83,7 +86,9 @@ def measure_setting(
     tasks = Task.stack([demonstration.task for demonstration in demonstrations])
     folder = arguments.work / path.stem if arguments.work else None
     stored = holds_results(folder, arguments.solver)
-    settings = Settings(arguments.solver, num_trajectories=arguments.samples)
+    settings = Settings(
+        arguments.solver, method=arguments.method, num_trajectories=arguments.samples
+    )
     work = Work(
         text, folder, settings, progress=True, say=lambda line: print(line, file=sys.stderr)
     )
@@ -129,14 +134,13 @@ def reference_log_partition(text: str, evidence: Evidence) -> np.ndarray:
 def accuracy(setting: Setting) -> list[dict[str, Any]]:
     """Return one row for each way to weigh the trajectories."""
     evidence = setting.evidence
-    divergences = [
-        kl_divergence(log_weight, log_partition)
-        for log_weight, log_partition in zip(
-            evidence.importance_log_weight, setting.exact_log_partition, strict=True
-        )
-    ]
+    divergences = evidence.kl
+    if evidence.method != "smc":  # its trajectories are not the policy's
+        pairs = zip(evidence.importance_log_weight, setting.exact_log_partition, strict=True)
+        divergences = [kl_divergence(*pair) for pair in pairs]
+    log_partition_error = np.abs(evidence.log_partition - setting.exact_log_partition)
     rows = []
-    for method in ("importance", "plain"):
+    for method in ("smc",) if evidence.method == "smc" else REWEIGHED:
         summary = summarise(evidence.problem, evidence.samples, method)
         error = np.abs(1.0 - summary.avoid_probability - setting.exact).max(axis=1)
         share = evidence.effective_sample_size / evidence.num_trajectories
@@ -150,6 +154,7 @@ def accuracy(setting: Setting) -> list[dict[str, Any]]:
                 "median_ess": float(np.median(share)),
                 "median_kl": float(np.median(divergences)),
                 "worst_kl": float(np.max(divergences)),
+                "worst_log_z_error": float(log_partition_error.max()),
                 "seconds": setting.seconds,
             }
         )
@@ -160,7 +165,8 @@ def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dic
     """Return the first five hypotheses and the true one, in nats, beside the exact ones."""
     result = infer(setting.evidence, demonstrations)
     evidence = setting.evidence
-    plain_summary = summarise(evidence.problem, evidence.samples, "plain")
+    reweighed = evidence.method if evidence.method == "smc" else "plain"
+    plain_summary = summarise(evidence.problem, evidence.samples, reweighed)
     floor = 1.0 / setting.evidence.num_trajectories
     plain = -np.log(np.maximum(plain_summary.avoid_probability, floor)).sum(axis=0)
     exact = -np.log(np.maximum(1.0 - setting.exact, SURVIVAL_FLOOR)).sum(axis=0)
@@ -282,6 +288,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Accuracy against exact answers.")
     parser.add_argument("--data", type=Path, required=True, help="folder, see above")
     parser.add_argument("--solver", default="grid")
+    parser.add_argument("--method", choices=METHODS, help="how to sample; the solver's default")
     parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
     parser.add_argument("--truth", type=int, default=55, help="index of the true cell")
     parser.add_argument("--torque", help="only this exact file")

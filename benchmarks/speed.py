@@ -30,7 +30,7 @@ from rich.table import Table
 
 from swerve import PPO, Grid, grid, learn
 from swerve.demo import FOLDER, PROBLEM
-from swerve.sampling import CHUNK
+from swerve.drawing import CHUNK
 from swerve.solvers.grid import GridNominal
 from swerve.solvers.ppo import PPONominal
 from swerve.solvers.ppo_training import Trainer

@@ -188,7 +188,7 @@ class TestBadInput:
     def test_unknown_problem(self, run: Run) -> None:
         status, _, said = run("infer", "pendulun")
         assert status == 1
-        assert "expected one of pendulum" in said
+        assert "expected one of car" in said
 
     def test_unknown_parameter(self, run: Run) -> None:
         status, _, said = run("infer", "pendulum?torque=3")
@@ -199,7 +199,7 @@ class TestBadInput:
         ("option", "value", "message"),
         [
             ("--score", "best", "best"),
-            ("--method", "magic", "method: expected one of importance, plain, got 'magic'"),
+            ("--method", "magic", "method: expected one of smc, importance, plain, got 'magic'"),
             ("--samples", 0, "samples: expected a whole number >= 2, got 0"),
             ("--seed", -1, "seed: expected a whole number >= 0, got -1"),
             ("--solver", "grid?num_points", "expected name=value after '?'"),

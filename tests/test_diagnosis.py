@@ -9,10 +9,11 @@ import pytest
 from synthetic import TASKS, make_demonstration, make_evidence, make_record
 
 from swerve.demonstrations import Demonstration
-from swerve.diagnosis import doubts, some_names
+from swerve.diagnosis import doubts
 from swerve.evidence import Evidence
 from swerve.inference import infer
 from swerve.space import Task
+from swerve.trust import some_names
 
 DURATION = 0.5  # s, of the model's episodes: 5 steps of 0.1 s
 

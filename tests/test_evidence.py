@@ -94,6 +94,8 @@ class TestSummary:
             total_reward=samples.total_reward[:, ~forbidden],
             log_probability=samples.log_probability[:, ~forbidden],
             length=samples.length[:, ~forbidden],
+            log_correction=samples.log_correction[:, ~forbidden],
+            ancestor=samples.ancestor[:, : np.count_nonzero(~forbidden)],
             violations=samples.violations[:, ~forbidden],
         )
         alone = make_evidence(samples=left, method=method)

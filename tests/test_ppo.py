@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
+from training import assert_resumes
 
 from swerve import (
     PPO,
@@ -24,7 +26,9 @@ from swerve import (
     save_nominal,
 )
 from swerve.estimators import kl_divergence
-from swerve.solvers import losses, ppo
+from swerve.solvers import losses
+from swerve.solvers.lanes import fresh_lanes
+from swerve.solvers.ppo import PPONominal
 from swerve.solvers.ppo_training import Trainer
 
 SMALL = PPO(
@@ -100,14 +104,13 @@ def test_new_episodes_begin_where_they_can() -> None:
     """Outside known constraints and where the episode is not over, the shares kept."""
     wall = Box(x=(-0.2, 0.9))
     problem = short_cart(known=[wall])
-    trainer = Trainer(problem, TINY, 0)
-    lanes = trainer.fresh_lanes(jax.random.key(3), 400, explore=0.25)
+    lanes = fresh_lanes(problem, jax.random.key(3), 400, explore=0.25)
     states = np.asarray(lanes.state).T
     assert not wall.contains(states, problem.mdp.space).any()
     assert not jax.vmap(problem.mdp.terminated)(lanes.state.T, lanes.goal.T).any()
     assert 0.15 < (np.asarray(lanes.step) > 0).mean() < 0.3
     assert len(np.unique(states, axis=0)) > 150
-    drawn = trainer.fresh_lanes(jax.random.key(3), 400, explore=1.0)
+    drawn = fresh_lanes(problem, jax.random.key(3), 400, explore=1.0)
     assert len(np.unique(np.asarray(drawn.step))) > 1
 
 
@@ -163,48 +166,24 @@ def test_entropy_is_part_of_the_objective() -> None:
     assert evidence.effective_sample_size[0] > 0.98 * 2_000
 
 
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C at a chosen moment."""
+@cache
+def tiny() -> PPONominal:
+    """For all tests to which it does not matter how well it is trained."""
+    nominal = learn(short_pendulum(), TINY, seed=3)
+    assert isinstance(nominal, PPONominal)
+    return nominal
 
 
 def test_resumed_training_gives_the_same_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem, checkpoint = short_pendulum(), tmp_path / "ppo.checkpoint"
-    whole = learn(problem, TINY, seed=3)
-    save, calls = ppo._save_checkpoint, []
-
-    def save_and_stop(*arguments) -> None:
-        save(*arguments)
-        calls.append(1)
-        if len(calls) == 7:
-            raise Interrupted
-
-    monkeypatch.setattr(ppo, "_save_checkpoint", save_and_stop)
-    with pytest.raises(Interrupted):
-        learn(problem, TINY, seed=3, checkpoint=checkpoint)
-    monkeypatch.setattr(ppo, "_save_checkpoint", save)
-    resumed = learn(problem, TINY, seed=3, checkpoint=checkpoint)
-    for name, array in whole.arrays().items():
-        np.testing.assert_array_equal(array, resumed.arrays()[name])
-    different = learn(problem, TINY, seed=4).arrays()
-    assert all((array != different[name]).any() for name, array in whole.arrays().items())
-
-
-def test_checkpoint_of_another_run_is_refused_and_kept(tmp_path: Path) -> None:
-    problem, checkpoint = short_pendulum(), tmp_path / "ppo.checkpoint"
-    learn(problem, TINY, seed=3, checkpoint=checkpoint)
-    before = checkpoint.read_bytes()
-    with pytest.raises(ValueError, match=r"checkpoint of another run: its seed is 3.*remove"):
-        learn(problem, TINY, seed=4, checkpoint=checkpoint)
-    assert checkpoint.read_bytes() == before
+    assert_resumes(tiny(), 3, 4, tmp_path / "ppo.checkpoint", monkeypatch)
 
 
 def test_saved_nominal_samples_the_same(tmp_path: Path) -> None:
-    problem = short_pendulum()
-    nominal = learn(problem, TINY)
+    nominal = tiny()
     save_nominal(tmp_path / "ppo.nominal", nominal)
-    restored = load_nominal(tmp_path / "ppo.nominal", problem)
+    restored = load_nominal(tmp_path / "ppo.nominal", nominal.problem)
     assert restored.solver == TINY
     a, b = (sample(n, PENDULUM_TASK, 200).samples for n in (nominal, restored))
     np.testing.assert_array_equal(a.log_probability, b.log_probability)
@@ -212,7 +191,7 @@ def test_saved_nominal_samples_the_same(tmp_path: Path) -> None:
 
 
 def test_nominal_of_another_problem_is_refused(tmp_path: Path) -> None:
-    save_nominal(tmp_path / "ppo.nominal", learn(short_pendulum(), TINY))
+    save_nominal(tmp_path / "ppo.nominal", tiny())
     with pytest.raises(ValueError, match="nominal distribution of another problem"):
         load_nominal(tmp_path / "ppo.nominal", short_pendulum(beta=0.9))
 
@@ -226,7 +205,7 @@ def test_training_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return iterate(self, state, x)
 
     monkeypatch.setattr(Trainer, "iterate", counted)
-    learn(short_pendulum(), TINY)
+    learn(short_pendulum(), TINY, seed=3)
     assert TINY.num_chunks > 10
     assert len(traces) == 1
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
+import runpy
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from swerve.inference import infer
 from swerve.problem import Problem
 from swerve.reproduce import golden as golden_output
 from swerve.reproduce import gridworld, gridworld_figures
-from swerve.reproduce.golden import Picked, compare, read_golden
+from swerve.reproduce.golden import Golden, Picked, compare, read_golden
 from swerve.rewards import taken_actions
 from swerve.sampling import sample
 from swerve.selection import Pick, divergence, greedy
@@ -48,6 +49,12 @@ WORLD = {
 SIZES = [1, 3, 8]
 KINDS = [*(["feature"] * 2), *(["state"] * 12), *(["action"] * 8)]
 VALUES = [1, 2, *range(12), *reversed(range(8))]  # of the hypotheses, as the file counts them
+
+
+@cache
+def own_world() -> Golden:
+    """Return the project's own world, whose demonstrations take a while to draw."""
+    return gridworld.own_world()
 
 
 def left_after(problem: Problem, made: list[Demonstration], picks: list[Pick]) -> list[float]:
@@ -126,13 +133,20 @@ def test_golden_output_is_told_from_altered_output(golden: Path, tmp_path: Path)
     ],
 )
 def test_exit_status_of_the_comparison(
-    golden: Path, tmp_path: Path, change: Callable[[dict[str, Any]], object], status: int, said: str
+    golden: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    change: Callable[[dict[str, Any]], object],
+    status: int,
+    said: str,
 ) -> None:
     script = ROOT / "experiments" / "gridworld" / "golden.py"
-    command = [sys.executable, script, altered(golden, tmp_path, change)]
-    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300)
-    assert ended.returncode == status, ended.stderr
-    assert said in ended.stdout
+    monkeypatch.setattr(sys, "argv", [str(script), str(altered(golden, tmp_path, change))])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(script), run_name="__main__")
+    assert ended.value.code == status
+    assert said in capsys.readouterr().out
 
 
 def test_real_golden_output(shared_data: Path) -> None:
@@ -153,7 +167,7 @@ def test_real_golden_output(shared_data: Path) -> None:
 
 
 def test_cutting_a_sequence_is_picking_with_the_larger_threshold() -> None:
-    world = gridworld.own_world()
+    world = own_world()
     nominal = Tabular().learn(world.problem)
     for size in (1, 10):
         used = world.sets[0][:size]
@@ -179,7 +193,7 @@ def test_a_cut_ends_at_the_first_small_gain() -> None:
 
 
 def test_false_positives_are_picks_that_are_not_true() -> None:
-    world = gridworld.own_world()._replace(truth=frozenset({3, 5}), sizes=[1, 2])
+    world = own_world()._replace(truth=frozenset({3, 5}), sizes=[1, 2])
     picked = [
         [Picked([3, 4, 5], [9.0] * 3, [4.0, 3.0, 2.0, 1.0]), Picked([], [], [4.0])],
         [Picked([6, 7], [9.0] * 2, [5.0, 4.0, 3.0]), Picked([5], [9.0], [2.0, 1.5])],
@@ -214,7 +228,7 @@ def test_own_demonstrations_are_drawn_from_the_constrained_distribution() -> Non
 
 
 def test_labels_name_the_hypotheses() -> None:
-    problem = gridworld.own_world().problem
+    problem = own_world().problem
     assert isinstance(problem.mdp, Gridworld)
     names, cells = gridworld.labels(problem.mdp), problem.mdp.states
     assert len(names) == len(problem.hypotheses)
@@ -348,7 +362,7 @@ def test_quick_needs_sizes_that_are_there(golden: Path, tmp_path: Path) -> None:
 
 
 def test_without_golden_output() -> None:
-    world = gridworld.at_sizes(gridworld.own_world(), [1, 5])
+    world = gridworld.at_sizes(own_world(), [1, 5])
     world = world._replace(sets=world.sets[:2])
     result = gridworld.measure(world)
     assert result.golden is None

@@ -241,7 +241,7 @@ def test_other_weights_need_no_other_samples(
 ) -> None:
     work = tmp_path / "work"
     arguments = infer(robot, demonstrations[:2], work, "--solver", SOLVER, "--json")
-    run(*arguments)
+    run(*arguments, "--method", "importance")
     status, out, said = run(*arguments, "--method", "plain")
     assert status == 0
     assert "sampling" not in said

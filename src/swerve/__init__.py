@@ -31,9 +31,12 @@ if TYPE_CHECKING:
     from swerve.solvers.enumeration import Enumeration
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
+    from swerve.solvers.soft_value import SoftValue
     from swerve.solvers.tabular import Tabular
     from swerve.space import StateSpace, Task
     from swerve.specification import load_problem
+    from swerve.systems.car import Car
+    from swerve.systems.double_pendulum import DoublePendulum
     from swerve.systems.gridworld import Gridworld
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
@@ -43,9 +46,11 @@ __version__ = "0.1.0"
 _HOMES = {
     "ActionBox": "boxes",
     "Box": "boxes",
+    "Car": "systems.car",
     "Constraint": "constraints",
     "Demonstration": "demonstrations",
     "Discrete": "solvers.discrete",
+    "DoublePendulum": "systems.double_pendulum",
     "Enumeration": "solvers.enumeration",
     "Evidence": "evidence",
     "Grid": "solvers.grid",
@@ -59,6 +64,7 @@ _HOMES = {
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
     "Problem": "problem",
+    "SoftValue": "solvers.soft_value",
     "StateSpace": "space",
     "Tabular": "solvers.tabular",
     "TabularMDP": "systems.tabular",
@@ -88,9 +94,11 @@ __all__ = [
     "PPO",
     "ActionBox",
     "Box",
+    "Car",
     "Constraint",
     "Demonstration",
     "Discrete",
+    "DoublePendulum",
     "Enumeration",
     "Evidence",
     "Grid",
@@ -102,6 +110,7 @@ __all__ = [
     "Pick",
     "Predicate",
     "Problem",
+    "SoftValue",
     "StateSpace",
     "Tabular",
     "TabularMDP",

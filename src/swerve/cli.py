@@ -61,7 +61,10 @@ Samples = Annotated[
 ]
 Method = Annotated[
     str | None,
-    Parameter(help="importance or plain, for solvers that are sampled. [default: importance]"),
+    Parameter(
+        help="smc, importance or plain, for solvers that are sampled. "
+        "[default: smc for soft-value, else importance]"
+    ),
 ]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
 AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")]
@@ -339,6 +342,7 @@ def _show(result: Inference, report: Path | None, as_json: bool) -> None:
         print(result.evidence.problem.summary)
         print(result.headline)
         print(result.table())
+        print(result.verdicts())
     if report is not None:
         result.report(report)
         _say(f"report: {report}")

@@ -8,24 +8,19 @@ Shapes: n state dimensions.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swerve import trust
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
+from swerve.trust import some_names
 
 if TYPE_CHECKING:
     from swerve.inference import Inference
 
-LOW_ESS_SHARE = 0.02
-LOW_ESS = 100.0
-HIGH_KL = {"importance": 0.5, "plain": 0.1}  # nats, between policy and pi_0
-VALUE_GAP = 0.1  # nats, between a solver's log Z_0 and that of its samples
-NUM_ERRORS = 3.0  # standard errors on top
-GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 FAR_END = 0.05  # of the extent: within it of its goal a demonstration has arrived
 FACTOR = 2.0  # beyond nominal trajectories in where it ends
 FAST = 3.0  # times the fastest nominal change of a state
@@ -33,7 +28,6 @@ FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single
 TIME_SLACK = 0.1  # of the duration
 COARSE = 1.5  # of the model's steps, between two states of a demonstration
 TABLED = "Discrete("  # the solver that makes a table of continuous dynamics
-NUM_NAMES = 3  # demonstrations named in a warning
 
 
 def warnings(inference: Inference) -> tuple[str, ...]:
@@ -41,24 +35,9 @@ def warnings(inference: Inference) -> tuple[str, ...]:
     return (
         *_exhausted(inference),
         *_impossible(inference),
-        *(_tabled(inference) if inference.evidence.is_exact else _sampling(inference)),
+        *(_tabled(inference) if inference.evidence.is_exact else trust.warnings(inference)),
         *_doubts(inference),
     )
-
-
-def _sampling(inference: Inference) -> Iterator[str]:
-    """Yield what speaks against the samples."""
-    yield from _low_samples(inference)
-    yield from _far_policy(inference)
-    yield from _wrong_value(inference)
-    yield from _floored(inference)
-
-
-def some_names(names: Sequence[str]) -> str:
-    """Return for example 'demo_1, demo_2, demo_3 and 30 more'."""
-    shown = ", ".join(names[:NUM_NAMES])
-    more = len(names) - NUM_NAMES
-    return f"{shown} and {more} more" if more > 0 else shown
 
 
 def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
@@ -190,88 +169,4 @@ def _tabled(inference: Inference) -> Iterator[str]:
         yield (
             "answers are exact for a table of cells, not for the dynamics: how far off they are is "
             "not known. See whether they change with num_cells and hold"
-        )
-
-
-def _low_ess(inference: Inference) -> np.ndarray:
-    """Return [K] whether a task that is used has too few effective samples."""
-    least = max(LOW_ESS, LOW_ESS_SHARE * inference.evidence.num_trajectories)
-    return (inference.evidence.effective_sample_size < least) & (inference.task_counts > 0)
-
-
-def _low_samples(inference: Inference) -> Iterator[str]:
-    evidence, used, low = inference.evidence, inference.task_counts > 0, _low_ess(inference)
-    ess, num = evidence.effective_sample_size, evidence.num_trajectories
-    if low.any():
-        worst = int(np.flatnonzero(low)[ess[low].argmin()])
-        yield (
-            f"not to be trusted: the effective sample size is too low for {low.sum()} of "
-            f"{np.count_nonzero(used)} tasks (worst: {inference.task_name(worst)}, "
-            f"{ess[worst]:.0f} of {num}). {_remedy(ess[worst] / num, evidence.solver)}"
-        )
-
-
-def _far_policy(inference: Inference) -> Iterator[str]:
-    """Yield that standard errors say nothing of what a policy far from pi_0 hardly ever does."""
-    evidence = inference.evidence
-    used = (inference.task_counts > 0) & ~_low_ess(inference)
-    far = used & (evidence.kl > HIGH_KL[evidence.method])
-    if far.any():
-        worst = int(np.where(far, evidence.kl, 0.0).argmax())
-        cause = "what it hardly ever does may be missing from them"
-        if evidence.method == "plain":
-            cause = "equal weights take it for pi_0: use importance weights"
-        yield (
-            f"errors may be larger than stated: for {far.sum()} of "
-            f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
-            f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {inference.task_name(worst)}, KL "
-            f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(0.0, evidence.solver)}"
-        )
-
-
-def _wrong_value(inference: Inference) -> Iterator[str]:
-    """Yield that the solver's own log Z_0 is not what its samples say."""
-    evidence = inference.evidence
-    used = (inference.task_counts > 0) & ~_low_ess(inference)
-    share = evidence.effective_sample_size / evidence.num_trajectories
-    error = np.sqrt((1.0 / share - 1.0) / evidence.num_trajectories)  # of log Z_0
-    # weights account for -log(share): where that share of trajectories survives a wall, say
-    explained = NUM_ERRORS * error - np.log(share)
-    gap = np.abs(evidence.soft_value - evidence.log_partition) - explained
-    wrong = used & (gap > VALUE_GAP)  # not where the solver has no value: then the gap is NaN
-    if wrong.any():
-        worst = int(np.where(wrong, gap, 0.0).argmax())
-        yield (
-            f"errors may be larger than stated: for {wrong.sum()} of "
-            f"{np.count_nonzero(inference.task_counts)} tasks the solver's log Z_0 is not that of "
-            f"its samples (worst: {inference.task_name(worst)}, "
-            f"{evidence.soft_value[worst]:.2f} and {evidence.log_partition[worst]:.2f} nats). "
-            f"{_remedy(0.0, evidence.solver)}"
-        )
-
-
-def _remedy(share: float, solver: str) -> str:
-    """Return what to do about an effective sample size that is this share of N."""
-    if share > GOOD_ESS_SHARE:
-        return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
-    if solver.startswith("Grid("):
-        return "The grid is too coarse for this problem: give it more num_points"
-    return (
-        "The policy is far from pi_0: train it longer, or use the grid solver where the state "
-        "has at most 3 dimensions"
-    )
-
-
-def _floored(inference: Inference) -> Iterator[str]:
-    """Yield that scores are lower bounds where almost every nominal trajectory enters."""
-    evidence, ranking = inference.evidence, inference.ranking
-    floored = evidence.is_floored & (inference.task_counts > 0)[:, None]
-    bounds = ranking[inference.is_lower_bound[ranking]]
-    if len(bounds):
-        names = some_names([f"hypothesis {index}" for index in bounds])
-        resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
-        yield (
-            f"the score of {names} is only a lower bound: almost every nominal trajectory of a "
-            "task enters it, and for each demonstration of such a task the samples tell no more "
-            f"than about {-math.log(resolution.min()):.1f} nats"
         )

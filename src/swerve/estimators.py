@@ -33,6 +33,33 @@ class Estimate(NamedTuple):
     avoid_variance: np.ndarray
 
 
+def grouped_variance(
+    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, group: np.ndarray
+) -> np.ndarray:
+    """Return the sampling variance [H] of Z_c / Z_0 where only groups are independent.
+
+        var = G / (G - 1) sum_g (sum_{n in g} w_n (1[n avoids] - p))^2,     sum_n w_n = 1.
+
+    Args:
+      log_weight: [N] nats.
+      violations: [N, ceil(H / 8)] packed bits.
+      num_hypotheses: H.
+      group: [N] numbers from 0 to G - 1, with G > 1.
+
+    Raises:
+      ValueError: if a log-weight is NaN, or every one is -inf.
+    """
+    weight = normalise(log_weight)
+    members = (group == np.arange(group.max() + 1)[:, None]) * weight
+    entered = np.zeros((len(members), 8 * violations.shape[1]))
+    for first in range(0, violations.shape[1], BLOCK):
+        bits = np.unpackbits(violations[:, first : first + BLOCK], axis=1, bitorder="little")
+        entered[:, 8 * first : 8 * first + bits.shape[1]] = members @ bits.astype(np.float64)
+    entered = entered[:, :num_hypotheses]
+    deviation = entered - members.sum(axis=1, keepdims=True) * entered.sum(axis=0)
+    return len(members) / (len(members) - 1) * (deviation**2).sum(axis=0)
+
+
 class LogRatio(NamedTuple):
     """Estimates of log Z_c / Z_0, nats.
 
@@ -101,13 +128,20 @@ def log_partition(log_weight: np.ndarray) -> float:
     return float(largest + np.log(np.mean(np.exp(log_weight - largest))))
 
 
-def effective_sample_size(log_weight: np.ndarray) -> float:
+def effective_sample_size(log_weight: np.ndarray, group: np.ndarray | None = None) -> float:
     """Return (sum w)^2 / sum w^2, between 1 and N.
+
+    Args:
+      log_weight: [N] nats.
+      group: [N] numbers from 0; the weights of trajectories in a group are added first.
 
     Raises:
       ValueError: if a log-weight is NaN, or every one is -inf.
     """
-    return float(1.0 / np.sum(normalise(log_weight) ** 2))
+    weight = normalise(log_weight)
+    if group is not None:
+        weight = np.bincount(group, weight)
+    return float(1.0 / np.sum(weight**2))
 
 
 def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:

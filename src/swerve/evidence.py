@@ -21,11 +21,11 @@ import numpy as np
 
 from swerve import estimators, store
 from swerve.problem import ProblemRecord
-from swerve.samples import EXACT, Samples, Summary, equalise, log_weights, summarise
+from swerve.samples import EXACT, REWEIGHED, Samples, Summary, equalise, log_weights, summarise
 from swerve.space import Task
 
 KIND = "swerve-evidence"
-VERSION = 3
+VERSION = 4
 Fields = TypeVar("Fields", bound=tuple)
 
 MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
@@ -38,8 +38,8 @@ class Evidence:
     Attributes:
       problem: what was sampled.
       tasks: starts [K, n] and goals [K, g].
-      method: "importance", "plain" (all weights equal, the paper's estimate), or "exact": then
-        the estimates are no estimates, and the trajectories are there for pictures alone.
+      method: "smc", "importance", "plain" (all weights equal, the paper's estimate), or "exact":
+        then the estimates are no estimates, and the trajectories are there for pictures alone.
       num_trajectories: N a task.
       solver: the solver and its settings, for people.
       seed: of the sampling.
@@ -124,7 +124,10 @@ class Evidence:
 
     @property
     def kl(self) -> np.ndarray:
-        """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement."""
+        """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
+
+        For "smc" it is KL(pi_0 || pi), since its trajectories are those of pi_0.
+        """
         return self.summary.kl
 
     @property
@@ -140,6 +143,24 @@ class Evidence:
         """
         return self.summary.effective_sample_size
 
+    @property
+    def distinct_share(self) -> np.ndarray:
+        """[K] share of the trajectories at the start that resampling has left; 1 without."""
+        return self.summary.distinct_share
+
+    @property
+    def island_log_partition(self) -> np.ndarray:
+        """[K, I] log Z_0 by each of I parts of the samples that are independent, nats."""
+        return self.summary.island_log_partition
+
+    @property
+    def island_spread(self) -> np.ndarray:
+        """[K] standard deviation of these, nats; infinite where nothing of an island is left."""
+        log_partition = self.island_log_partition
+        is_lost = np.isneginf(log_partition)
+        spread = np.where(is_lost, 0.0, log_partition).std(axis=1)
+        return np.where(is_lost.any(axis=1), np.inf, spread)
+
     @cached_property
     def log_weight(self) -> np.ndarray:
         """[K, N] log-weights l that `method` uses, nats; all 0 for "plain"."""
@@ -148,8 +169,8 @@ class Evidence:
 
     @property
     def importance_log_weight(self) -> np.ndarray:
-        """[K, N] l = beta R + log m - log pi, nats."""
-        return log_weights(self.problem, self.samples)
+        """[K, N] l = beta R + log m - log pi, with what resampling adds to it, nats."""
+        return log_weights(self.problem, self.samples) + self.samples.log_correction
 
     def hoeffding_error(self, confidence: float = 0.95) -> float:
         """Return the bound on each probability's error (the paper, III-C.2); equal weights only.
@@ -210,9 +231,18 @@ class Evidence:
         )
 
     def weighted(self, method: str) -> Evidence:
-        """Return the same trajectories weighed by another method."""
+        """Return the same trajectories weighed by another method.
+
+        Raises:
+          ValueError: if they were not drawn one by one, as both methods need.
+        """
         if method == self.method:
             return self
+        if not {method, self.method} <= set(REWEIGHED):
+            raise ValueError(
+                f"method: trajectories drawn by {self.method!r} cannot be weighed by {method!r}: "
+                "sample anew"
+            )
         summary = summarise(self.problem, self.samples, method)
         return dataclasses.replace(self, method=method, summary=summary)
 

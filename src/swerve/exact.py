@@ -18,7 +18,7 @@ import numpy as np
 
 from swerve.evidence import Evidence
 from swerve.problem import ProblemRecord
-from swerve.samples import EXACT, Samples, log_weights, summarise
+from swerve.samples import EXACT, NUM_ISLANDS, Samples, log_weights, summarise
 from swerve.space import Task
 
 
@@ -77,6 +77,8 @@ def exact_evidence(
         total_reward=drawn.total_reward[None],
         log_probability=np.zeros((1, len(drawn.length))),
         length=drawn.length[None],
+        log_correction=np.zeros((1, len(drawn.length))),
+        ancestor=np.arange(len(drawn.length))[None],
         violations=drawn.violations[None],
         kept=drawn.states[None],
         soft_value=np.array([log_partition]),
@@ -89,6 +91,7 @@ def exact_evidence(
         log_ratio=answer.log_ratio[None],
         log_partition=np.array([log_partition]),
         kl=np.zeros(1),
+        island_log_partition=np.full((1, NUM_ISLANDS), log_partition),
         effective_sample_size=np.array([float(len(drawn.length))]),
     )
     return Evidence(

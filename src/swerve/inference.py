@@ -21,20 +21,10 @@ from typing import Any
 import numpy as np
 
 from swerve.arguments import instance
-from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
 from swerve.hypotheses import unpack
-from swerve.problem import ProblemRecord
-from swerve.space import Actions
-from swerve.state_checks import (
-    check_finite,
-    check_horizon,
-    check_start,
-    check_states,
-    check_transitions,
-    row_namer,
-)
+from swerve.judging import judge
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
@@ -167,9 +157,21 @@ class Inference:
 
         return diagnosis.warnings(self)
 
+    def verdict(self, task: int) -> str:
+        """Return how far the samples of a task can be trusted, for example 'settled'."""
+        from swerve import trust
+
+        return trust.verdict(self, task)
+
+    def verdicts(self) -> str:
+        """Return how far the samples of all tasks can be trusted, in a few lines."""
+        from swerve import trust
+
+        return trust.summary(self)
+
     def task_name(self, task: int) -> str:
         """Return the names of the first demonstrations of a task, or its number."""
-        from swerve.diagnosis import some_names
+        from swerve.trust import some_names
 
         names = self._demonstrations_of(task)
         return some_names(names) if names else f"task {task}"
@@ -245,6 +247,9 @@ class Inference:
             "effective_sample_size": float(evidence.effective_sample_size[task]),
             "log_partition": float(evidence.log_partition[task]),
             "kl": float(evidence.kl[task]),
+            "island_spread": float(evidence.island_spread[task]),
+            "distinct_share": float(evidence.distinct_share[task]),
+            "verdict": self.verdict(task),
         }
 
     def plot(self, path: str | Path | None = None) -> Any:
@@ -265,43 +270,6 @@ class Inference:
         from swerve.report import write_report
 
         write_report(self, path)
-
-
-def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
-    """Refuse a demonstration that enters a known constraint: under the model it cannot happen."""
-    for constraint in problem.known:
-        actions = _actions(demonstration, problem, constraint.about_actions)
-        states, between = demonstration.states, problem.between_states
-        if violates(constraint, states, problem.space, between, actions):
-            raise ValueError(
-                f"{demonstration.name} enters the known constraint {constraint.name}, which the "
-                "problem says nobody can: correct the demonstration (units, frame) or `known`"
-            )
-
-
-def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool) -> Actions | None:
-    """Return the actions of a demonstration [L-1, m] where they are needed."""
-    if not needed:
-        return None
-    names, values = problem.action_names, demonstration.actions
-    if values is None or values.shape[1] != len(names):
-        raise ValueError(
-            f"{demonstration.name}: the problem has constraints on actions, so a demonstration "
-            f"needs its actions, columns {', '.join(names)}, got "
-            f"{'none' if values is None else f'{values.shape[1]} of them'}"
-        )
-    values = values[: len(demonstration.states) - 1]
-    check_finite(values, names, row_namer(demonstration.name, None))
-    return Actions(names, values)
-
-
-def _check_goal(demonstration: Demonstration, evidence: Evidence) -> None:
-    expected, got = evidence.tasks.goal.shape[1], len(demonstration.task.goal)
-    if got != expected:
-        names = ", ".join(evidence.problem.goal_names)
-        raise ValueError(
-            f"{demonstration.name}: expected a goal of {expected} numbers ({names}), got {got}"
-        )
 
 
 def infer(
@@ -331,39 +299,10 @@ def infer(
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")
     demonstrations = tuple(demonstrations)
-    judged = [_judge(item, evidence) for item in demonstrations]
+    judged = [judge(item, evidence) for item in demonstrations]
     num_hypotheses = len(evidence.problem.hypotheses)
     entered = np.zeros((0, num_hypotheses), bool)
     if judged:
         entered = unpack(np.stack([bits for _, bits in judged]), num_hypotheses)
     task_of = np.array([task for task, _ in judged], int)
     return Inference(evidence, demonstrations, task_of, entered, score)
-
-
-def _judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.ndarray]:
-    """Check a demonstration; return its task in the evidence and packed bits of what it enters."""
-    if not isinstance(demonstration, Demonstration):
-        raise ValueError(
-            f"expected a list of swerve.Demonstration, got a {type(demonstration).__name__} in it: "
-            "make one with swerve.Demonstration(name, states, task)"
-        )
-    problem, states = evidence.problem, demonstration.states
-    check_states(states, demonstration.times, problem.space, demonstration.name)
-    check_start(states[0], demonstration.task, problem.space, demonstration.name)
-    if problem.transitions is not None:
-        actions = _actions(demonstration, problem, demonstration.actions is not None)
-        check_transitions(
-            states, actions and actions.values, problem.transitions, demonstration.name
-        )
-        num_moves = int((~problem.transitions.rests(states)).sum())
-        check_horizon(num_moves, problem.num_steps, demonstration.name)
-    _check_known(demonstration, problem)
-    _check_goal(demonstration, evidence)
-    task = evidence.match(demonstration.task, demonstration.name)
-    actions = _actions(demonstration, problem, problem.hypotheses.about_actions)
-    if actions is not None:
-        actions = actions._replace(values=actions.values[None])
-    bits = problem.hypotheses.violations(
-        states[None], problem.space, problem.between_states, actions
-    )
-    return task, bits[0]

@@ -21,6 +21,7 @@ from swerve.solvers.discrete import Discrete
 from swerve.solvers.enumeration import Enumeration
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
+from swerve.solvers.soft_value import SoftValue
 from swerve.solvers.tabular import Tabular
 from swerve.space import Task
 from swerve.specification import Specification, build
@@ -121,6 +122,7 @@ class Solver(Protocol):
 SOLVERS: dict[str, type[Solver]] = {
     "grid": Grid,
     "ppo": PPO,
+    "soft-value": SoftValue,
     "tabular": Tabular,
     "discrete": Discrete,
     "enumeration": Enumeration,

@@ -21,9 +21,9 @@ from matplotlib.figure import Figure
 import swerve
 from swerve import plots, store, wording
 from swerve.boxes import interval_name
-from swerve.diagnosis import LOW_ESS, LOW_ESS_SHARE
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
+from swerve.trust import LOW_ESS, LOW_ESS_SHARE
 
 MAX_HYPOTHESES = 50  # rows of the ranking
 MAX_TASKS = 100  # rows of the diagnostics
@@ -229,6 +229,7 @@ def _tasks(inference: Inference) -> str:
             f"{evidence.kl[task]:.2f}",
             f"{evidence.log_partition[task]:.2f}",
             evidence.method,
+            inference.verdict(task),
         )
         rows.append(("low" if ess[task] < low else "", cells))
     head = (
@@ -239,9 +240,11 @@ def _tasks(inference: Inference) -> str:
         "KL [nats]",
         "log Z_0 [nats]",
         "weights",
+        "verdict",
     )
     more = _more(len(used) - len(rows), "task", " with a larger effective sample size")
-    return f"<h2>Tasks</h2>{_table(head, rows, {0: 'name', 1: 'vector', 2: 'vector', 6: ''})}{more}"
+    table = _table(head, rows, {0: "name", 1: "vector", 2: "vector", 6: "", 7: ""})
+    return f"<h2>Tasks</h2>{table}{more}"
 
 
 def _demonstration_names(inference: Inference, task: int) -> str:

@@ -13,7 +13,11 @@ import numpy as np
 from swerve import estimators
 from swerve.problem import ProblemRecord
 
-METHODS = ("importance", "plain")
+METHODS = ("smc", "importance", "plain")
+REWEIGHED = ("importance", "plain")  # methods that share trajectories
+SMC_SOLVERS = ("grid", "soft-value")  # whose policies look ahead with a value
+SMC_BY_DEFAULT = ("soft-value",)  # a grid's value leaves hardly anything to resample
+NUM_ISLANDS = 20  # parts of the trajectories of a task that have nothing to do with one another
 EXACT = "exact"  # what the method of evidence is called that a solver gave without sampling
 NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures
 
@@ -44,6 +48,8 @@ class Samples(NamedTuple):
       total_reward: [K, N] R(xi); -inf where a known constraint was entered.
       log_probability: [K, N] log pi(xi) under the policy that drew it, nats.
       length: [K, N] steps taken.
+      log_correction: [K, N] what resampling adds to the log-weight, nats; 0 without.
+      ancestor: [K, N] which of the N trajectories at the start each comes from.
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
       kept: [K, M, T+1, n] a few whole trajectories, drawn by weight, for pictures.
       soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none.
@@ -52,6 +58,8 @@ class Samples(NamedTuple):
     total_reward: np.ndarray
     log_probability: np.ndarray
     length: np.ndarray
+    log_correction: np.ndarray
+    ancestor: np.ndarray
     violations: np.ndarray
     kept: np.ndarray
     soft_value: np.ndarray
@@ -65,8 +73,11 @@ class Summary(NamedTuple):
       avoid_variance: [K, H] its sampling variance.
       log_ratio: [K, H] its log, nats, which exact answers know where the ratio is no number.
       log_partition: [K] log Z_0, nats.
-      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats.
-      effective_sample_size: [K] of the importance weights, whatever the method.
+      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" KL(pi_0 || pi).
+      effective_sample_size: [K] of the weights, whatever the method; first those of trajectories
+        that come from the same one at the start are added.
+      distinct_share: [K] share of the trajectories at the start that any comes from.
+      island_log_partition: [K, I] log Z_0 by each island alone, nats.
       soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none.
       end: [K, n] the middle of the box of states where the trajectories kept end.
       end_reach: [K, n] half the sides of that box.
@@ -80,6 +91,8 @@ class Summary(NamedTuple):
     log_partition: np.ndarray
     kl: np.ndarray
     effective_sample_size: np.ndarray
+    distinct_share: np.ndarray
+    island_log_partition: np.ndarray
     soft_value: np.ndarray
     end: np.ndarray
     end_reach: np.ndarray
@@ -90,21 +103,26 @@ class Summary(NamedTuple):
 def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
     """Estimate what inference needs from sampled trajectories of K tasks."""
     rows = []
-    for k, log_weight in enumerate(log_weights(problem, samples)):
+    drawn_by = log_weights(problem, samples)
+    for k, log_weight in enumerate(drawn_by + samples.log_correction):
         used = equalise(log_weight) if method == "plain" else log_weight
-        estimate = estimators.avoid_probability(
-            used, samples.violations[k], len(problem.hypotheses)
-        )
         log_partition = estimators.log_partition(log_weight)
-        kept = samples.kept[k]
+        kept, ancestor = samples.kept[k], samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
+        estimate = _avoid_probability(used, ancestor, samples.violations[k], problem)
+        if method == "smc":
+            kl = float(estimators.normalise(log_weight) @ _finite(drawn_by[k])) - log_partition
+        else:
+            kl = estimators.kl_divergence(log_weight, log_partition)
         rows.append(
             (
                 *estimate,
                 _log(estimate.avoid_probability),
                 log_partition,
-                estimators.kl_divergence(log_weight, log_partition),
-                estimators.effective_sample_size(log_weight),
+                kl,
+                estimators.effective_sample_size(log_weight, ancestor),
+                len(np.unique(ancestor)) / len(ancestor),
+                [_log_mean(log_weight[island]) for island in islands(len(log_weight))],
                 samples.soft_value[k],
                 *_end_box(problem, kept[:, -1]),
                 samples.length[k][np.isfinite(log_weight)].min() * problem.dt,
@@ -112,6 +130,36 @@ def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
             )
         )
     return Summary(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def islands(num_trajectories: int) -> list[np.ndarray]:
+    """Return the numbers of the trajectories of each island; a lone one is its own."""
+    num_islands = min(NUM_ISLANDS, num_trajectories)
+    return np.array_split(np.arange(num_trajectories), num_islands)
+
+
+def _avoid_probability(
+    log_weight: np.ndarray, ancestor: np.ndarray, violations: np.ndarray, problem: ProblemRecord
+) -> estimators.Estimate:
+    """Estimate Z_c / Z_0 [H]; trajectories that share ancestors depend on one another."""
+    num_hypotheses = len(problem.hypotheses)
+    estimate = estimators.avoid_probability(log_weight, violations, num_hypotheses)
+    if len(np.unique(ancestor)) == len(ancestor):
+        return estimate
+    parts = islands(len(ancestor))
+    island = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    variance = estimators.grouped_variance(log_weight, violations, num_hypotheses, island)
+    return estimate._replace(avoid_variance=variance)
+
+
+def _log_mean(log_weight: np.ndarray) -> float:
+    """Return the log of the mean of weights, -inf where all are 0."""
+    return float(np.logaddexp.reduce(log_weight)) - float(np.log(len(log_weight)))
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """Return values with 0 for those of no weight."""
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _log(values: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import dataclasses
 from typing import Any
 
 from swerve.arguments import whole_number
-from swerve.samples import EXACT, METHODS, NUM_KEPT
+from swerve.samples import EXACT, METHODS, NUM_KEPT, SMC_BY_DEFAULT
 from swerve.specification import Specification
 
 EXACT_SOLVERS = ("enumeration", "tabular", "discrete")
@@ -19,7 +19,7 @@ class Settings:
     Attributes:
       solver: a solver specification (default: `nominal.default_solver`).
       seed: of learning and sampling (default 0).
-      method: "importance" (default) or "plain".
+      method: "smc" (default of soft-value), "importance" (of others that sample) or "plain".
       num_trajectories: N a task (default 10,000).
 
     Raises:
@@ -60,20 +60,32 @@ class Settings:
     def completed(self, others: Settings) -> Settings:
         """Return these settings, with those of others where there is none."""
         given = {name: value for name, value in vars(self).items() if value is not None}
-        if self.solver is not None and _is_exact(self.solver) != _is_exact(others.solver):
-            others = Settings(seed=others.seed)  # exact solvers have another method
+        if self.solver is not None and others.solver is not None:
+            mine, theirs = _default_method(self.solver), _default_method(others.solver)
+            num = None if EXACT in (mine, theirs) else others.num_trajectories
+            if mine != theirs:
+                others = Settings(seed=others.seed, num_trajectories=num)
         return dataclasses.replace(others, **given)
 
     def filled(self) -> Settings:
         """Return these settings with the defaults where there is none; the solver is known."""
         assert self.solver is not None
-        defaults = {"seed": 0, "method": METHODS[0], "num_trajectories": 10_000}
-        if _is_exact(self.solver):
-            defaults |= {"method": EXACT, "num_trajectories": NUM_KEPT}
+        method = _default_method(self.solver)
+        defaults = {"seed": 0, "method": method, "num_trajectories": 10_000}
+        if method == EXACT:
+            defaults["num_trajectories"] = NUM_KEPT
         given = {name: value for name, value in vars(self).items() if value is not None}
         return Settings(**defaults | given)
 
 
 def _is_exact(solver: str | None) -> bool:
     """Return whether a solver, if one is named, gives exact answers."""
-    return solver is not None and Specification.parse(solver).target in EXACT_SOLVERS
+    return solver is not None and _default_method(solver) == EXACT
+
+
+def _default_method(solver: str) -> str:
+    """Return how a solver is sampled unless something else is asked for."""
+    name = Specification.parse(solver).target
+    if name in EXACT_SOLVERS:
+        return EXACT
+    return "smc" if name in SMC_BY_DEFAULT else "importance"

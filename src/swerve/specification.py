@@ -26,6 +26,8 @@ from typing import Any, get_args, get_type_hints
 from weakref import WeakKeyDictionary
 
 SHIPPED = {
+    "car": "swerve.systems.car:car",
+    "double-pendulum": "swerve.systems.double_pendulum:double_pendulum",
     "pendulum": "swerve.systems.pendulum:pendulum",
     "gridworld": "swerve.systems.gridworld:gridworld",
 }

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,19 +27,6 @@ from swerve.space import Actions
 
 Policy = Callable[[Array, Array, Array], Array]
 """Maps one state [n], the step t and one goal [g] to log-probabilities [A]."""
-
-
-@runtime_checkable
-class SoftPolicy(Protocol):
-    """A policy that comes with the soft value it looks ahead with."""
-
-    def __call__(self, state: Array, step: Array, goal: Array) -> Array:
-        """Return log-probabilities [A]."""
-        ...
-
-    def soft_value(self, state: Array, step: Array, goal: Array) -> Array:
-        """Return V_t(s), nats."""
-        ...
 
 
 class Trajectory(NamedTuple):

@@ -62,6 +62,13 @@ def sentence(inference: Inference) -> str:
     return f"{basis} {verb} best explained by keeping out of {what} ({value})."
 
 
+_METHODS = {
+    "smc": "sequential Monte Carlo",
+    "importance": "importance weights",
+    "plain": "plain weights",
+}
+
+
 def settings(inference: Inference) -> str:
     """Return what the answer depends on, in one line."""
     evidence = inference.evidence
@@ -77,7 +84,7 @@ def samples(evidence: Evidence) -> str:
         return f"exact answers from {evidence.solver}"
     return (
         f"{evidence.num_trajectories:,} trajectories a task from {evidence.solver}, "
-        f"{evidence.method} weights, seed {evidence.seed}"
+        f"{_METHODS[evidence.method]}, seed {evidence.seed}"
     )
 
 

@@ -28,7 +28,7 @@ import swerve
 from swerve import store
 from swerve.evidence import Evidence
 from swerve.problem import ProblemRecord
-from swerve.samples import METHODS
+from swerve.samples import REWEIGHED
 from swerve.settings import Settings
 from swerve.space import Task
 from swerve.specification import canonical_problem, file_hash, source_hashes
@@ -203,7 +203,7 @@ class Work:
     def _weighed_otherwise(self) -> Evidence | None:
         """Return stored trajectories that were weighed by another method, weighed by this one."""
         mine = self.settings.method
-        for method in METHODS if mine in METHODS else ():
+        for method in REWEIGHED if mine in REWEIGHED else ():
             other = self._stored_evidence(method)
             if other is not None and mine is not None:
                 self._begin()

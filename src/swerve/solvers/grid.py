@@ -21,24 +21,22 @@ Shapes: S nodes, A actions, T steps, n state dimensions, G goals solved at once.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from swerve.arguments import whole_number
+from swerve.look_ahead import FORBIDDEN, LookAhead, log_measure
 from swerve.problem import Problem
 from swerve.solvers.grid_model import (
     CLIFF,
     CLOSED,
-    FORBIDDEN,
     Successors,
     clear_cells,
     find_successors,
@@ -48,7 +46,6 @@ from swerve.solvers.grid_model import (
 )
 from swerve.solvers.interpolation import STENCIL, StateGrid, choose_smooth
 from swerve.space import Task
-from swerve.trajectory import enters
 
 MAX_DIMENSIONS = 3
 DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # along a straight axis; angles have half as many
@@ -133,8 +130,8 @@ class Grid:
         return resolution
 
 
-class GridPolicy(eqx.Module):
-    """The look-ahead policy of one goal, and its soft value.
+class GridPolicy(LookAhead):
+    """The look-ahead policy of one goal, with values interpolated between nodes.
 
     Attributes:
       values: [T+1, S] beta-weighted soft values at the nodes, nats.
@@ -146,34 +143,11 @@ class GridPolicy(eqx.Module):
     values: Float[Array, "T+1 S"]
     clear: Bool[Array, " S"] | None
 
-    def __call__(
+    def value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> Float[Array, " A"]:
-        """Return log pi(a | state, step) for every action."""
-        return jax.nn.log_softmax(self.action_values(state, step, goal))
-
-    def action_values(
-        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> Float[Array, " A"]:
-        """Return beta r(s, a, s') + V_{t+1}(s') for every action, very low where forbidden."""
-        mdp, beta = self.problem.mdp, self.problem.beta
-        values = self.values[step + 1]
-
-        def action_value(action: Array) -> Array:
-            next_state = mdp.dynamics(state, action)
-            ended = mdp.terminated(next_state, goal) | (step == mdp.num_steps - 1)
-            value = self._value(values, next_state)
-            value = jnp.where(ended, beta * mdp.terminal_reward(next_state, goal), value)
-            value = value + beta * mdp.reward(state, action, next_state, goal)
-            forbidden = enters(
-                self.problem.known, state, next_state, mdp, self.problem.between_states, action
-            )
-            return jnp.where(forbidden, FORBIDDEN, value)
-
-        return jax.vmap(action_value)(mdp.actions)
-
-    def _value(self, values: Float[Array, " S"], state: Float[Array, " n"]) -> Float[Array, ""]:
+    ) -> Float[Array, ""]:
         """Return V at a state from V at the nodes that are open and in sight."""
+        values = self.values[step]
         if self.clear is None:
             return self.grid.interpolate(values, state)
         cubic, (nodes, weights) = self.grid.cubic(state), in_sight(self.problem, self.grid, state)
@@ -184,13 +158,6 @@ class GridPolicy(eqx.Module):
         smooth = jnp.sum(jnp.where(is_open(around), around, CLIFF) * cubic.weights)
         value = jnp.where(self.clear[nodes[0]], choose_smooth(jnp, smooth, linear), linear)
         return jnp.where(reach > 0.0, value, CLOSED)
-
-    def soft_value(
-        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> Float[Array, ""]:
-        """Return V_t(s) by one look-ahead, nats; V_0(start) is log Z_0 of the task."""
-        total = jax.nn.logsumexp(self.action_values(state, step, goal))
-        return total - _measure_offset(self.problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +205,7 @@ class GridNominal:
             following += model.reward
             following[successors.forbidden] = FORBIDDEN
             value = _log_sum_exp(following.reshape(mdp.num_actions, num_nodes, len(goals)))
-            value -= _measure_offset(problem)
+            value -= log_measure(problem)
             np.copyto(value, model.node_terminal, where=model.node_ended)
             values[:, step] = value.T
             advance(len(goals) / mdp.num_steps)
@@ -262,8 +229,3 @@ def _log_sum_exp(action_values: np.ndarray) -> np.ndarray:
     np.log(total, out=total)
     total += largest
     return total
-
-
-def _measure_offset(problem: Problem) -> float:
-    """Return what the base measure takes off each step's log-sum: log A if uniform, else 0."""
-    return math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0

@@ -21,7 +21,6 @@ from swerve.problem import Problem
 from swerve.solvers.interpolation import StateGrid, Stencil, choose_smooth
 from swerve.trajectory import enters
 
-FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
 CLOSED = -1e8  # nats, where no way out is known; less bad, since the grid may be too coarse to tell
 CLIFF = -1e6  # nats, what a cubic sees of a closed node, so that the linear value is taken
 BATCH = 4096  # cells whose surroundings are looked at together

@@ -39,14 +39,26 @@ def advantages(
       ended: where it did.
       gae_lambda: 0 trusts the value, 1 the rewards.
     """
-    residual = reward + next_value - value
+    return discounted(reward + next_value - value, ended, gae_lambda)
+
+
+def discounted(
+    residual: Float[Array, "L N"], ended: Bool[Array, "L N"], trace: float
+) -> Float[Array, "L N"]:
+    """Return sum_k trace^k residual_{t+k}, up to the end of the episode or of the segment.
+
+    Args:
+      residual: nats.
+      ended: where the episode ended with this step.
+      trace: lambda, between 0 and 1.
+    """
 
     def backward(later: Array, x: tuple[Array, Array]) -> tuple[Array, Array]:
         residual, ended = x
-        now = residual + gae_lambda * jnp.where(ended, 0.0, later)
+        now = residual + trace * jnp.where(ended, 0.0, later)
         return now, now
 
-    return jax.lax.scan(backward, jnp.zeros_like(value[0]), (residual, ended), reverse=True)[1]
+    return jax.lax.scan(backward, jnp.zeros_like(residual[0]), (residual, ended), reverse=True)[1]
 
 
 def bounded(advantage: Float[Array, "*N"], scale: Float[Array, "*N"]) -> Float[Array, "*N"]:

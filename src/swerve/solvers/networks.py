@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 
@@ -36,3 +39,14 @@ class DenseNetwork(eqx.Module):
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = jnp.tanh(weight @ x + bias)
         return self.weights[-1] @ x + self.biases[-1]
+
+
+def to_arrays(tree: Any) -> dict[str, np.ndarray]:
+    """Return the arrays in a network, or in anything built of arrays, to be stored."""
+    return {f"{k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(tree))}
+
+
+def from_arrays(like: Any, arrays: dict[str, np.ndarray]) -> Any:
+    """Return what `to_arrays` took apart, given something of the same form."""
+    leaves = [jnp.asarray(arrays[str(k)]) for k in range(len(arrays))]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)

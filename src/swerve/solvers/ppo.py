@@ -11,35 +11,27 @@ Shapes: A actions, n states, g goal dimensions.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from swerve import estimators, store
 from swerve.arguments import whole_number
 from swerve.problem import Problem
 from swerve.progress import progress_bar
-from swerve.samples import log_weights
-from swerve.solvers.networks import DenseNetwork
+from swerve.solvers.checkpoints import Checkpoint
+from swerve.solvers.lanes import check_lanes
+from swerve.solvers.networks import DenseNetwork, from_arrays, to_arrays
 from swerve.solvers.ppo_training import PPOState, Trainer
+from swerve.solvers.probe import Probe
 from swerve.space import Task
-from swerve.tasks import draw_tasks
-from swerve.trajectory import rollout
 
-KIND = "swerve-ppo-checkpoint"
-VERSION = 1
 NUM_CHUNKS = 40
-NUM_PROBE_TASKS = 8
-NUM_PROBES = 128  # trajectories a task for the estimates shown while training
 
 
 @dataclass(frozen=True)
@@ -134,12 +126,14 @@ class PPO:
             MDP draws can begin.
         """
         trainer = Trainer(problem, self, seed)
-        trainer.check()
+        check_lanes(problem, self.num_lanes, seed)
         state = trainer.initial_state()
-        if checkpoint is not None and checkpoint.exists():
-            state = _restore_checkpoint(checkpoint, trainer, state)
+        file = Checkpoint(checkpoint, problem, self, seed)
+        arrays = file.load()
+        if arrays is not None:
+            state = from_arrays(state, arrays)
         done = int(state.iteration) // self.chunk_iterations
-        probe = _Probe(problem, tasks) if progress else None
+        probe = Probe(problem, tasks) if progress else None
         with progress_bar("training", self.num_chunks * self.chunk_steps, progress) as advance:
             advance(done * self.chunk_steps)
             for _ in range(done, self.num_chunks):
@@ -147,9 +141,8 @@ class PPO:
                 state = jax.block_until_ready(trainer.run(state, self.chunk_iterations))
                 rate = self.chunk_steps / (time.perf_counter() - began)
                 _check_finite(state, trainer)
-                if checkpoint is not None:
-                    _save_checkpoint(checkpoint, trainer, state)
-                note = probe.report(PPOPolicy(problem, state.policy)) if probe else ""
+                file.save(to_arrays(state))
+                note = str(probe.read(PPOPolicy(problem, state.policy))) if probe else ""
                 advance(self.chunk_steps, note=f"{rate / 1000:.0f} k steps/s  {note}")
         return PPONominal(problem, self, PPOPolicy(problem, state.policy))
 
@@ -159,7 +152,7 @@ class PPO:
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> PPONominal:
         """Return the nominal distribution whose `arrays` were stored."""
         policy = eqx.filter_eval_shape(Trainer(problem, self, 0).initial_state).policy
-        return PPONominal(problem, self, PPOPolicy(problem, _from_arrays(policy, arrays)))
+        return PPONominal(problem, self, PPOPolicy(problem, from_arrays(policy, arrays)))
 
 
 class PPOPolicy(eqx.Module):
@@ -185,7 +178,7 @@ class PPONominal:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the policy's weights."""
-        return _to_arrays(self.policy.network)
+        return to_arrays(self.policy.network)
 
     def policies(
         self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
@@ -196,29 +189,6 @@ class PPONominal:
             yield self.policy
 
 
-class _Probe:
-    """Estimates of KL and ESS on a few tasks, shown while training."""
-
-    def __init__(self, problem: Problem, tasks: Task | None) -> None:
-        if tasks is None:
-            tasks = draw_tasks(problem, NUM_PROBE_TASKS)
-        self.problem = problem
-        self.tasks = Task(*(np.asarray(x[:NUM_PROBE_TASKS], np.float32) for x in tasks))
-
-    def report(self, policy: PPOPolicy) -> str:
-        """Return for example 'KL 0.84 nats  ESS 35 %', medians over the tasks."""
-        start, goal = (jnp.repeat(jnp.asarray(x.T), NUM_PROBES, axis=1) for x in self.tasks)
-        drawn = rollout(self.problem, policy, start, goal, jax.random.key(0), start.shape[1])
-        log_weight = log_weights(self.problem.record, drawn).reshape(-1, NUM_PROBES)
-        divergences, sizes = [], []
-        for row in log_weight[np.isfinite(log_weight).any(axis=1)]:
-            divergences.append(estimators.kl_divergence(row, estimators.log_partition(row)))
-            sizes.append(estimators.effective_sample_size(row) / NUM_PROBES)
-        if not sizes:
-            return "every probe enters a known constraint"
-        return f"KL {np.median(divergences):.2f} nats  ESS {100 * np.median(sizes):.0f} %"
-
-
 def _check_finite(state: PPOState, trainer: Trainer) -> None:
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.policy, state.value))):
         raise ValueError(
@@ -226,35 +196,3 @@ def _check_finite(state: PPOState, trainer: Trainer) -> None:
             f"Check the rewards and features of {type(trainer.problem.mdp).__name__}, or lower "
             f"learning_rate from {trainer.settings.learning_rate}"
         )
-
-
-def _run_header(trainer: Trainer) -> dict[str, Any]:
-    return {
-        "problem": trainer.problem.record.fingerprint,
-        "settings": dataclasses.asdict(trainer.settings),
-        "seed": trainer.seed,
-    }
-
-
-def _save_checkpoint(path: Path, trainer: Trainer, state: PPOState) -> None:
-    store.write(path, KIND, VERSION, _run_header(trainer), _to_arrays(state))
-
-
-def _restore_checkpoint(path: Path, trainer: Trainer, like: PPOState) -> PPOState:
-    stored = store.open_file(path, KIND, VERSION)
-    for key, value in _run_header(trainer).items():
-        if stored.header[key] != value:
-            raise ValueError(
-                f"{path} is a checkpoint of another run: its {key} is {stored.header[key]}, this "
-                f"run's is {value}. Give that run's {key}, or remove the file to start anew"
-            )
-    return _from_arrays(like, {name: stored.array(name) for name in stored.names})
-
-
-def _to_arrays(tree: Any) -> dict[str, np.ndarray]:
-    return {f"{k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(tree))}
-
-
-def _from_arrays(like: Any, arrays: dict[str, np.ndarray]) -> Any:
-    leaves = [jnp.asarray(arrays[str(k)]) for k in range(len(arrays))]
-    return jax.tree.unflatten(jax.tree.structure(like), leaves)

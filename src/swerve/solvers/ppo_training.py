@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Bool, Int, Key
+from jaxtyping import Array, Int, Key
 
 from swerve.problem import Problem
 from swerve.solvers import losses
+from swerve.solvers.lanes import Lanes, fresh_lanes, over_lanes
 from swerve.solvers.networks import DenseNetwork
-from swerve.tasks import can_begin
 from swerve.trajectory import draw_action, take_step
 
 if TYPE_CHECKING:
@@ -33,14 +33,6 @@ if TYPE_CHECKING:
 
 KNOWN_PENALTY = 1e4  # nats, where an episode ends in a known constraint: worse than any return
 RATE_END = 0.01  # of the first learning rate, reached at the end
-
-
-class Lanes(NamedTuple):
-    """Where the episodes are: states [n, N], steps [N], goals [g, N]."""
-
-    state: Array
-    step: Array
-    goal: Array
 
 
 class PPOState(NamedTuple):
@@ -75,11 +67,6 @@ class Batch(NamedTuple):
     target: Array
 
 
-def over_lanes(function: Any, *axes: int | None) -> Any:
-    """Map a function of one lane over the last axis of its arguments; None where all share one."""
-    return jax.vmap(function, in_axes=axes, out_axes=-1)
-
-
 @dataclass(frozen=True, eq=False)
 class Trainer:
     """One run: its problem, settings and seed."""
@@ -93,7 +80,7 @@ class Trainer:
         settings, mdp = self.settings, self.problem.mdp
         key_policy, key_value, key_lanes = jax.random.split(jax.random.key(self.seed), 3)
         # all at any time at first, so that ends come evenly
-        lanes = self.fresh_lanes(key_lanes, settings.num_lanes, explore=1.0)
+        lanes = fresh_lanes(self.problem, key_lanes, settings.num_lanes, explore=1.0)
         features = over_lanes(mdp.features, -1, -1, -1)(*lanes)
         hidden = (features.shape[0], settings.width, settings.width)
         policy = DenseNetwork((*hidden, mdp.num_actions), 0.1, key=key_policy)
@@ -115,27 +102,6 @@ class Trainer:
         rate = settings.learning_rate
         schedule = optax.linear_schedule(rate, rate * RATE_END, num_updates)
         return optax.chain(optax.clip_by_global_norm(10.0), optax.adam(schedule, b2=0.99, eps=1e-6))
-
-    def fresh_lanes(self, key: Key[Array, ""], num_lanes: int, explore: float) -> Lanes:
-        """Return new episodes: a share of lanes anywhere at any time, the others at a start."""
-        mdp, problem = self.problem.mdp, self.problem
-        key_task, key_state, key_step = jax.random.split(key, 3)
-        start, goal = over_lanes(mdp.sample_task, 0)(jax.random.split(key_task, num_lanes))
-        anywhere = over_lanes(mdp.sample_state, 0)(jax.random.split(key_state, num_lanes))
-        step = jax.random.randint(key_step, (num_lanes,), 0, mdp.num_steps)
-        explores = jnp.arange(num_lanes) < explore * num_lanes
-        lanes = Lanes(jnp.where(explores, anywhere, start), jnp.where(explores, step, 0), goal)
-        begins = over_lanes(partial(can_begin, problem), -1, -1)(lanes.state, lanes.goal)
-        return jax.tree.map(lambda x: x[..., _replacements(begins)], lanes)
-
-    def check(self) -> None:
-        """Raise ValueError where hardly any episode that the MDP draws can begin."""
-        lanes = self.fresh_lanes(jax.random.key(self.seed), self.settings.num_lanes, 0.5)
-        if not over_lanes(partial(can_begin, self.problem), -1, -1)(lanes.state, lanes.goal).all():
-            raise ValueError(
-                f"{type(self.problem.mdp).__name__}.sample_task and sample_state draw no state "
-                "outside the known constraints from which an episode can go on: write your own"
-            )
 
     @partial(jax.jit, static_argnums=(0, 2))
     def run(self, state: PPOState, num_iterations: int) -> PPOState:
@@ -162,7 +128,7 @@ class Trainer:
         settings, problem = self.settings, self.problem
         key_fresh, key_actions = jax.random.split(key)
         num_lanes = settings.num_lanes
-        fresh = jax.vmap(lambda key: self.fresh_lanes(key, num_lanes, settings.explore))(
+        fresh = jax.vmap(lambda key: fresh_lanes(problem, key, num_lanes, settings.explore))(
             jax.random.split(key_fresh, settings.segment)  # for every step one that could end there
         )
         uniforms = jax.random.uniform(key_actions, (settings.segment, num_lanes))
@@ -241,12 +207,3 @@ class Trainer:
         predicted = losses.value_of_output(over_lanes(value, -1)(batch.features)[0], scale)
         error = (predicted - batch.target) / losses.loss_scale(batch.target, scale)
         return jnp.mean(losses.huber(error))
-
-
-def _replacements(allowed: Bool[Array, " N"]) -> Int[Array, " N"]:
-    """Return for each lane itself where it is allowed, else the next one that is, in a circle."""
-    num_lanes = allowed.shape[0]
-    lanes = jnp.arange(num_lanes)
-    ahead = jnp.where(jnp.concatenate([allowed, allowed]), jnp.arange(2 * num_lanes), 2 * num_lanes)
-    following = jax.lax.cummin(ahead, reverse=True)[:num_lanes]
-    return jnp.where(following < 2 * num_lanes, following % num_lanes, lanes)

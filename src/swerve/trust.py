@@ -1,0 +1,225 @@
+"""How far the samples of each task can be trusted: warnings, and one plain verdict a task.
+
+Next to nothing may be left of the trajectories by weight; independent parts of them may disagree on
+log Z_0; the policy may be known to be far from pi_0, or the solver's own log Z_0 to differ. Else
+the ranking of the first few hypotheses may hang on sampling error: with the error that a difference
+of scores may have shared evenly among the K tasks in use, task k needs
+
+    N_k = N K (n_k e_k / gap)^2
+
+trajectories, e_k being twice the sum of the standard errors of one of its n_k demonstrations. What
+nothing here can see is a mode that no trajectory ever took: the weights of the others are flawless.
+
+Shapes: K tasks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from swerve.inference import TIE_ERRORS, Inference
+
+LOW_ESS_SHARE = 0.02
+LOW_ESS = 100.0
+HIGH_KL = {"smc": math.inf, "importance": 0.5, "plain": 0.1}  # nats, between policy and pi_0
+HIGH_SPREAD = 1.0  # nats: standard deviation of log Z_0 between islands
+VALUE_GAP = {"Grid(": 0.1, "SoftValue(": 1.0}  # nats, between a solver's log Z_0 and its samples'
+NUM_ERRORS = 3.0  # standard errors on top
+GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
+NUM_SETTLED = 3  # first hypotheses whose order is to be told
+MOST_SAMPLES = 10_000_000  # beyond, sampling will not tell
+NUM_NAMES = 3  # demonstrations named in a warning
+
+
+def some_names(names: Sequence[str]) -> str:
+    """Return for example 'demo_1, demo_2, demo_3 and 30 more'."""
+    shown = ", ".join(names[:NUM_NAMES])
+    more = len(names) - NUM_NAMES
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+def warnings(inference: Inference) -> Iterator[str]:
+    """Yield what speaks against the samples, each kind once."""
+    yield from _too_few(inference)
+    yield from _apart(inference)
+    yield from _far_policy(inference)
+    yield from _wrong_value(inference)
+    yield from _floored(inference)
+
+
+def verdict(inference: Inference, task: int) -> str:
+    """Return how far the samples of a task can be trusted, in a few words."""
+    evidence = inference.evidence
+    if evidence.is_exact:
+        return "exact"
+    if _has_too_few(inference)[task]:
+        left = f"{evidence.effective_sample_size[task]:.0f} of {evidence.num_trajectories}"
+        return f"not to be trusted: effective sample size {left}"
+    if _is_apart(inference)[task]:
+        spread = evidence.island_spread[task]
+        return f"not to be trusted: parts of its samples differ by {spread:.1f} nats in log Z_0"
+    if _is_far(inference)[task]:
+        return f"errors may be larger than stated: KL {evidence.kl[task]:.2f} nats"
+    if (_value_gap(inference) > 0.0)[task]:
+        values = f"{evidence.soft_value[task]:.2f}, not {evidence.log_partition[task]:.2f} nats"
+        return f"errors may be larger than stated: the solver's log Z_0 is {values}"
+    needed = _samples_needed(inference, task)
+    if needed > evidence.num_trajectories:
+        if needed > MOST_SAMPLES:
+            return f"ranking of the first {NUM_SETTLED} not settled, nor will more samples do it"
+        return (
+            f"ranking of the first {NUM_SETTLED} not settled: raise --samples to about "
+            f"{_round_up(needed):,}"
+        )
+    return "settled"
+
+
+def summary(inference: Inference) -> str:
+    """Return the verdicts of all tasks that are used, in a few lines."""
+    tasks = np.flatnonzero(inference.task_counts).tolist()
+    texts = {task: verdict(inference, task) for task in tasks}
+    others = [task for task in tasks if texts[task] not in ("settled", "exact")]
+    if not others:
+        return f"{len(tasks)} of {len(tasks)} tasks {texts[tasks[0]]}"
+    lines = [f"{len(tasks) - len(others)} of {len(tasks)} tasks settled"]
+    lines += [f"  {inference.task_name(k)}: {texts[k]}" for k in others[:NUM_NAMES]]
+    if len(others) > NUM_NAMES:
+        lines.append(f"  ... and {len(others) - NUM_NAMES} more that are not")
+    return "\n".join(lines)
+
+
+def _samples_needed(inference: Inference, task: int) -> float:
+    """Return N_k of the module's formula, for the narrowest gap between the first few."""
+    first = inference.ranking[: NUM_SETTLED + 1]
+    if len(first) < 2:
+        return 0.0
+    evidence, num_tasks = inference.evidence, np.count_nonzero(inference.task_counts)
+    score, error = inference.log_likelihood[first], evidence.standard_error[task, first]
+    error = TIE_ERRORS * inference.task_counts[task] * (error[1:] + error[:-1])
+    gap = np.maximum(score[:-1] - score[1:], 1e-12)
+    share = num_tasks * ((error / gap) ** 2).max()
+    return float(evidence.num_trajectories * share)
+
+
+def _round_up(number: float) -> int:
+    """Return a number rounded up to two digits."""
+    unit = 10 ** max(0, math.floor(math.log10(number)) - 1)
+    return unit * math.ceil(number / unit)
+
+
+def _has_too_few(inference: Inference) -> np.ndarray:
+    """Return [K] whether a task that is used has too few effective samples."""
+    least = max(LOW_ESS, LOW_ESS_SHARE * inference.evidence.num_trajectories)
+    return (inference.evidence.effective_sample_size < least) & (inference.task_counts > 0)
+
+
+def _is_apart(inference: Inference) -> np.ndarray:
+    """Return [K] whether independent parts of a task's samples disagree on log Z_0."""
+    used = (inference.task_counts > 0) & ~_has_too_few(inference)
+    return used & (inference.evidence.island_spread > HIGH_SPREAD)
+
+
+def _is_far(inference: Inference) -> np.ndarray:
+    """Return [K] whether the policy of a task is too far from pi_0."""
+    used = (inference.task_counts > 0) & ~_has_too_few(inference)
+    return used & (inference.evidence.kl > HIGH_KL[inference.evidence.method])
+
+
+def _value_gap(inference: Inference) -> np.ndarray:
+    """Return [K] by how much more the solver's log Z_0 and its samples' differ than they may.
+
+    Weights account for -log(ESS / N): where that share of trajectories survives a wall, say. 0 for
+    tasks that are not used, and where the solver has no value.
+    """
+    evidence = inference.evidence
+    used = (inference.task_counts > 0) & ~_has_too_few(inference)
+    share = evidence.effective_sample_size / evidence.num_trajectories
+    error = np.sqrt((1.0 / share - 1.0) / evidence.num_trajectories)  # of log Z_0
+    explained = NUM_ERRORS * error - np.log(share)
+    allowed = [value for solver, value in VALUE_GAP.items() if evidence.solver.startswith(solver)]
+    gap = np.abs(evidence.soft_value - evidence.log_partition) - explained - max(allowed, default=0)
+    return np.where(used & (gap > 0.0), gap, 0.0)
+
+
+def _too_few(inference: Inference) -> Iterator[str]:
+    evidence, used, low = inference.evidence, inference.task_counts > 0, _has_too_few(inference)
+    ess, num = evidence.effective_sample_size, evidence.num_trajectories
+    if low.any():
+        worst = int(np.flatnonzero(low)[ess[low].argmin()])
+        yield (
+            f"not to be trusted: the effective sample size is too low for {low.sum()} of "
+            f"{np.count_nonzero(used)} tasks (worst: {inference.task_name(worst)}, "
+            f"{ess[worst]:.0f} of {num}). {_remedy(ess[worst] / num, evidence.solver)}"
+        )
+
+
+def _apart(inference: Inference) -> Iterator[str]:
+    evidence, apart = inference.evidence, _is_apart(inference)
+    if apart.any():
+        worst = int(np.where(apart, evidence.island_spread, 0.0).argmax())
+        yield (
+            f"not to be trusted: for {apart.sum()} of {np.count_nonzero(inference.task_counts)} "
+            "tasks independent parts of the samples disagree on log Z_0 (worst: "
+            f"{inference.task_name(worst)}, by {evidence.island_spread[worst]:.1f} nats). "
+            f"{_remedy(0.0, evidence.solver)}"
+        )
+
+
+def _far_policy(inference: Inference) -> Iterator[str]:
+    """Yield that standard errors say nothing of what a policy far from pi_0 hardly ever does."""
+    evidence, far = inference.evidence, _is_far(inference)
+    if far.any():
+        worst = int(np.where(far, evidence.kl, 0.0).argmax())
+        cause = "what it hardly ever does may be missing from them"
+        if evidence.method == "plain":
+            cause = "equal weights take it for pi_0: use importance weights"
+        yield (
+            f"errors may be larger than stated: for {far.sum()} of "
+            f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
+            f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {inference.task_name(worst)}, KL "
+            f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(0.0, evidence.solver)}"
+        )
+
+
+def _wrong_value(inference: Inference) -> Iterator[str]:
+    """Yield that the solver's own log Z_0 is not what its samples say."""
+    evidence, gap = inference.evidence, _value_gap(inference)
+    if gap.any():
+        worst = int(gap.argmax())
+        yield (
+            f"errors may be larger than stated: for {np.count_nonzero(gap)} of "
+            f"{np.count_nonzero(inference.task_counts)} tasks the solver's log Z_0 is not that of "
+            f"its samples (worst: {inference.task_name(worst)}, "
+            f"{evidence.soft_value[worst]:.2f} and {evidence.log_partition[worst]:.2f} nats). "
+            f"{_remedy(0.0, evidence.solver)}"
+        )
+
+
+def _remedy(share: float, solver: str) -> str:
+    """Return what to do about an effective sample size that is this share of N."""
+    if share > GOOD_ESS_SHARE:
+        return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
+    if solver.startswith("Grid("):
+        return "The grid is too coarse for this problem: give it more num_points"
+    return (
+        "The policy is far from pi_0: train it longer, or use the grid solver where the state "
+        "has at most 3 dimensions"
+    )
+
+
+def _floored(inference: Inference) -> Iterator[str]:
+    """Yield that scores are lower bounds where almost every nominal trajectory enters."""
+    evidence, ranking = inference.evidence, inference.ranking
+    floored = evidence.is_floored & (inference.task_counts > 0)[:, None]
+    bounds = ranking[inference.is_lower_bound[ranking]]
+    if len(bounds):
+        names = some_names([f"hypothesis {index}" for index in bounds])
+        resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
+        yield (
+            f"the score of {names} is only a lower bound: almost every nominal trajectory of a "
+            "task enters it, and for each demonstration of such a task the samples tell no more "
+            f"than about {-math.log(resolution.min()):.1f} nats"
+        )

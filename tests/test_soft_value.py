@@ -1,0 +1,149 @@
+"""The soft value solver against enumeration; how it resumes, stops and fails."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import CART_TASK, PENDULUM_TASK, Cart, enumerate_exactly, short_cart, short_pendulum
+from routes import TASK, Routes, routes, share_above
+from training import assert_resumes
+
+from swerve import (
+    Box,
+    Problem,
+    SoftValue,
+    Task,
+    grid,
+    learn,
+    load_nominal,
+    sample,
+    save_nominal,
+)
+from swerve.solvers.soft_value import PATIENCE, Progress, SoftValueNominal, _has_settled
+
+STANDARD_ERRORS = {"importance": 4.5, "smc": 6.1}  # 20 islands: as unlikely by Student's t
+NUM = 20_000
+SMALL = SoftValue(num_steps=600_000, num_lanes=256, segment=7, width=32, learning_rate=5e-3)
+TINY = SoftValue(num_steps=8_000, num_lanes=16, segment=4, width=8)
+WALL = Box(x=(0.2, 0.5), v=(-2.0, -0.6))
+PROBLEMS = {
+    "pendulum": (short_pendulum(), PENDULUM_TASK),
+    "ends-early": (short_cart(), CART_TASK),
+    "counting": (short_cart(measure="counting"), CART_TASK),
+    "known": (short_cart(known=[WALL]), CART_TASK),
+}
+
+
+@cache
+def learned(name: str) -> SoftValueNominal:
+    nominal = learn(PROBLEMS[name][0], SMALL)
+    assert isinstance(nominal, SoftValueNominal)
+    return nominal
+
+
+@cache
+def tiny() -> SoftValueNominal:
+    nominal = learn(short_pendulum(), TINY, seed=3)
+    assert isinstance(nominal, SoftValueNominal)
+    return nominal
+
+
+@pytest.mark.parametrize("method", ["smc", "importance"])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_agrees_with_enumeration(name: str, method: str) -> None:
+    problem, task = PROBLEMS[name]
+    truth = enumerate_exactly(problem, *task)
+    evidence = sample(learned(name), task, NUM, method=method)
+    ess = evidence.effective_sample_size[0]
+    assert ess > {"smc": 0.2, "importance": 0.5}[method] * NUM
+    assert evidence.kl[0] < 0.2
+    error = np.sqrt(evidence.summary.avoid_variance[0]) + 1.0 / ess
+    difference = evidence.violation_probability[0] - truth.violation_probability
+    is_open = (truth.violation_probability > 0.1) & (truth.violation_probability < 0.9)
+    assert np.count_nonzero(is_open) >= 3
+    assert np.abs(difference / error).max() < STANDARD_ERRORS[method]
+    assert evidence.log_partition[0] == pytest.approx(truth.log_partition, abs=0.03)
+
+
+def test_one_network_is_for_every_start_and_goal() -> None:
+    problem, _ = PROBLEMS["ends-early"]
+    tasks = [Task([0.3, 0.3], [-0.2, 0.2]), Task([-1.0, 0.5], [1.0, 0.0]), Task([1.2, 0.0], [0, 0])]
+    evidence = sample(learned("ends-early"), tasks, 4_000, method="importance")
+    for k, task in enumerate(tasks):
+        truth = enumerate_exactly(problem, *(np.asarray(x, float) for x in task))
+        exact_kl = truth.log_partition - evidence.importance_log_weight[k].mean()
+        assert exact_kl < 0.2
+
+
+def test_both_routes_are_found() -> None:
+    problem = routes(Routes(toll=1.0))
+    evidence = sample(learn(problem, SMALL), TASK, NUM)
+    error = math.sqrt(evidence.summary.avoid_variance[0, 0]) + 1e-3
+    assert error < 0.02
+    above = evidence.violation_probability[0, 0]
+    assert above == pytest.approx(share_above(problem), abs=STANDARD_ERRORS["smc"] * error)
+
+
+def test_resumed_training_gives_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert_resumes(tiny(), 3, 4, tmp_path / "soft.checkpoint", monkeypatch)
+
+
+def test_saved_nominal_samples_the_same(tmp_path: Path) -> None:
+    nominal, path = tiny(), tmp_path / "soft.nominal"
+    save_nominal(path, nominal)
+    restored = load_nominal(path, nominal.problem)
+    assert isinstance(restored, SoftValueNominal)
+    np.testing.assert_array_equal(restored.history, nominal.history)
+    a, b = (sample(n, PENDULUM_TASK, 200).samples for n in (nominal, restored))
+    np.testing.assert_array_equal(a.log_probability, b.log_probability)
+    with pytest.raises(ValueError, match="nominal distribution of another problem"):
+        load_nominal(path, short_pendulum(beta=0.9))
+
+
+def test_training_leaves_its_history() -> None:
+    history = [Progress(*row) for row in tiny().history.tolist()]
+    assert len(history) == TINY.num_chunks
+    assert history[-1].num_steps == TINY.num_chunks * TINY.chunk_steps
+    assert (np.diff([progress.seconds for progress in history]) > 0).all()
+    assert history[-1].kl < history[0].kl
+
+
+def test_training_ends_when_the_divergence_stops_improving() -> None:
+    falling = [Progress(0.0, 0.0, 1.0 / (1 + k), 1.0, 1.0, 0.1) for k in range(PATIENCE + 5)]
+    flat = [*falling, *[falling[-1]] * PATIENCE]
+    assert not _has_settled(falling)
+    assert not _has_settled(flat[:-1])
+    assert _has_settled(flat)
+
+
+class Cliff(Cart):
+    """Its reward is NaN on one side."""
+
+    def reward(self, state, action, next_state, goal):
+        return jnp.where(next_state[0] > 1.0, jnp.nan, 0.0)
+
+
+def test_divergence_is_an_error() -> None:
+    problem = Problem(Cliff(), grid(x=(-1.5, 1.5, 3)))
+    with pytest.raises(ValueError, match=r"diverged after 0 iterations: .* features of Cliff"):
+        learn(problem, TINY)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"num_lanes": 0}, "num_lanes: expected a whole number >= 1, got 0"),
+        ({"trace": 1.5}, "trace: expected a number from 0 to 1, got 1.5"),
+        ({"fade": 0.0}, "fade: expected a number > 0, got 0.0"),
+    ],
+)
+def test_settings_are_checked(settings: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SoftValue(**settings)

@@ -1,0 +1,180 @@
+"""Verdicts: what is said of samples that are fine, too few, or of a bad policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import equinox as eqx
+import numpy as np
+import pytest
+from reference import PENDULUM_TASK, short_pendulum
+from routes import TASK, WALL, LatticeRoutes, Planted, routes
+from synthetic import evidence_of_columns, make_demonstration, make_evidence
+from test_smc import Guess
+
+from swerve import Problem, grid, infer, learn, sample
+from swerve.look_ahead import LookAhead
+from swerve.solvers.grid import GridPolicy
+
+GOOD = {
+    "kl": 0.0,
+    "log_partition": 3.0,
+    "soft_value": 3.0,
+    "effective_sample_size": 400.0,
+    "island_log_partition": np.linspace(2.9, 3.1, 20),
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "method", "text"),
+    [
+        ({"effective_sample_size": 12.0}, "smc", "not to be trusted: effective sample size 12 of"),
+        ({"island_log_partition": np.linspace(0, 6, 20)}, "smc", "differ by 1.8 nats in log Z_0"),
+        ({"island_log_partition": np.repeat([3, -np.inf], 10)}, "smc", "differ by inf nats"),
+        ({"kl": 0.7}, "importance", "errors may be larger than stated: KL 0.70 nats"),
+        ({"kl": 0.7}, "smc", None),
+        ({"soft_value": 3.3}, "smc", "the solver's log Z_0 is 3.30, not 3.00 nats"),
+    ],
+)
+def test_a_verdict_is_of_its_task_alone(changes: dict, method: str, text: str | None) -> None:
+    found = make_evidence(method=method, solver="Grid(num_points=(9, 9))")
+    columns = {
+        name: np.array([value, changes.get(name, value), value]) for name, value in GOOD.items()
+    }
+    found = dataclasses.replace(found, summary=found.summary._replace(**columns))
+    result = infer(found, [make_demonstration(k, f"demo_{k}") for k in range(3)])
+    verdicts = [result.verdict(k) for k in range(3)]
+    fine = ("settled", "ranking")
+    assert verdicts[0].startswith(fine)
+    assert verdicts[2].startswith(fine)
+    assert verdicts[1].startswith(fine) if text is None else text in verdicts[1]
+    said = [diagnostics["verdict"] for diagnostics in result.to_json()["diagnostics"]]
+    assert said == verdicts
+    json.dumps(said)
+
+
+CELLS = grid(x=(0.0, 10.0, 10))
+
+
+def chances(*violated: float, num: int = 1_000) -> np.ndarray:
+    """Violations [1, N, 10]: of cell 5 and the next by shares of trajectories, of others none."""
+    generator = np.random.default_rng(0)
+    columns = np.zeros((1, num, 10), bool)
+    for cell, share in enumerate(violated, start=5):
+        columns[0, :, cell] = generator.permutation(np.arange(num) < share * num)
+    return columns
+
+
+def test_a_clear_ranking_is_settled() -> None:
+    evidence = evidence_of_columns(chances(0.9, 0.5, 0.1, 0.001), CELLS)
+    result = infer(evidence, [make_demonstration()])
+    assert result.verdict(0) == "settled"
+    assert result.verdicts() == "1 of 1 tasks settled"
+
+
+def test_more_samples_are_asked_for_where_they_would_settle_it() -> None:
+    """And that many do: the verdict on so many with the same shares is settled."""
+    shares = (0.52, 0.50, 0.3, 0.1)
+    result = infer(evidence_of_columns(chances(*shares), CELLS), [make_demonstration(name="one")])
+    text = result.verdict(0)
+    assert text.startswith("ranking of the first 3 not settled: raise --samples to about ")
+    needed = int(text.rsplit(" ", 1)[1].replace(",", ""))
+    assert 5_000 < needed < 50_000
+    assert result.verdicts() == f"0 of 1 tasks settled\n  one: {text}"
+    enough = infer(evidence_of_columns(chances(*shares, num=needed), CELLS), [make_demonstration()])
+    assert enough.verdict(0) == "settled"
+    short = chances(*shares, num=int(0.8 * needed))
+    assert infer(evidence_of_columns(short, CELLS), [make_demonstration()]).verdict(0) != "settled"
+
+
+def test_equal_scores_are_never_settled() -> None:
+    columns = chances(0.5, 0.5, 0.3, 0.1)
+    columns[0, :, 6] = columns[0, ::-1, 5]
+    result = infer(evidence_of_columns(columns, CELLS), [make_demonstration()])
+    assert result.verdict(0).endswith("not settled, nor will more samples do it")
+
+
+def test_exact_answers_are_exact() -> None:
+    lattice = routes(LatticeRoutes(toll=1.0))
+    assert infer(sample(learn(lattice), TASK)).verdicts() == "1 of 1 tasks exact"
+
+
+# -- policies that are bad on purpose ------------------------------------------------------------
+
+FAR = short_pendulum(beta=4.0)
+
+
+class Sharp(LookAhead):
+    """The grid's policy, far too sure of itself."""
+
+    problem: Problem = eqx.field(static=True)
+    right: GridPolicy
+
+    def value(self, state, step, goal):
+        return 20.0 * self.right.value(state, step, goal)
+
+
+class Elsewhere(LookAhead):
+    """The grid's policy of another goal."""
+
+    problem: Problem = eqx.field(static=True)
+    right: GridPolicy
+
+    def value(self, state, step, goal):
+        return self.right.value(state, step, goal)
+
+
+def right_policy(goal: np.ndarray) -> GridPolicy:
+    [policy] = learn(FAR, "grid?num_points=121").policies(goal[None])  # pyright: ignore
+    return policy
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fixed:
+    """A nominal of one policy."""
+
+    policy: LookAhead
+    solver = dataclasses.make_dataclass("Fixing", [])()
+
+    @property
+    def problem(self) -> Problem:
+        return self.policy.problem
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def policies(self, goals: np.ndarray, advance=lambda share: None):
+        yield from (self.policy for _ in goals)
+
+
+BAD = {
+    "uniform": lambda: Guess(FAR, 0.0),
+    "sharp": lambda: Sharp(FAR, right_policy(PENDULUM_TASK.goal)),
+    "elsewhere": lambda: Elsewhere(FAR, right_policy(np.array([1.0, 2.0]))),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_policies_are_caught_by_their_weights(name: str) -> None:
+    evidence = sample(Fixed(BAD[name]()), PENDULUM_TASK, 2_000, method="importance")
+    result = infer(evidence)
+    assert "not to be trusted" in result.verdict(0) or "errors may be larger" in result.verdict(0)
+    assert result.warnings
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_smc_is_right_or_says_that_it_is_not(name: str) -> None:
+    truth = sample(learn(FAR, "grid?num_points=121"), PENDULUM_TASK, 20_000)
+    evidence = sample(Fixed(BAD[name]()), PENDULUM_TASK, 2_000, method="smc")
+    error = np.abs(evidence.log_partition[0] - truth.log_partition[0])
+    said = ("not to be trusted", "errors may be larger than stated")
+    assert error < 0.2 or infer(evidence).verdict(0).startswith(said)
+
+
+def test_a_mode_that_nothing_visits_is_not_seen() -> None:
+    """What no diagnostic can tell, and the docs say so."""
+    lattice = routes(LatticeRoutes(toll=1.0))
+    half = dataclasses.replace(lattice, known=[WALL, lattice.hypotheses.constraint(0)])
+    result = infer(sample(Planted(lattice, half), TASK, 2_000))
+    assert "trusted" not in result.verdicts()
