@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve import estimators
-from swerve.look_ahead import LookAhead
+from swerve.look_ahead import ValuedPolicy
 from swerve.problem import Problem, ProblemRecord
 from swerve.samples import NUM_ISLANDS, NUM_KEPT, Samples, log_weights
 from swerve.smc import Particles, smc_rollout
@@ -103,14 +103,14 @@ def _chunk_sizes(job: Job) -> list[int]:
 
 def _soft_value(job: Job) -> np.ndarray:
     """Return log Z_0 of the task by the solver's own soft value, NaN where it has none."""
-    if not isinstance(job.policy, LookAhead):
+    if not isinstance(job.policy, ValuedPolicy):
         return np.array(np.nan)
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
     return np.asarray(_value_at_start(job.policy, start, goal), np.float64)
 
 
 @eqx.filter_jit
-def _value_at_start(policy: LookAhead, start: jax.Array, goal: jax.Array) -> jax.Array:
+def _value_at_start(policy: ValuedPolicy, start: jax.Array, goal: jax.Array) -> jax.Array:
     return policy.soft_value(start, jnp.zeros((), jnp.int32), goal)
 
 
@@ -121,7 +121,7 @@ def _sample_chunk(job: Job, key: jax.Array, size: int, used: int) -> _Chunk:
     particles = None
     if job.method == "smc":
         island = job.num_trajectories // NUM_ISLANDS
-        assert isinstance(job.policy, LookAhead)
+        assert isinstance(job.policy, ValuedPolicy)
         particles = smc_rollout(job.policy, start, goal, key, size // island, island)
         trajectory = particles.trajectory
     else:

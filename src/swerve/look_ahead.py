@@ -1,4 +1,4 @@
-"""Policies that look one step ahead with a soft value.
+"""Policies that know what to expect, and those that look one step ahead with a soft value.
 
 With the value V of where each action leads, r_T in place of V where the episode ends,
 
@@ -30,12 +30,36 @@ from swerve.trajectory import take_step
 FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
 
 
-class LookAhead(eqx.Module):
-    """The look-ahead policy of a soft value; subclasses provide the value.
+class ValuedPolicy(eqx.Module):
+    """A policy with a soft value: what sequential Monte Carlo needs.
 
     Attributes:
       problem: the MDP, beta, the measure and the known constraints.
     """
+
+    problem: eqx.AbstractVar[Problem]
+
+    @abc.abstractmethod
+    def propose(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return log pi(a | s, t) of every action, and what it takes for V_t(s) [nats]."""
+
+    def __call__(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " A"]:
+        """Return log pi(a | s, t) of every action."""
+        return self.propose(state, step, goal)[0]
+
+    def soft_value(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, ""]:
+        """Return what the policy takes for V_t(s), nats; that of a start is log Z_0 of the task."""
+        return self.propose(state, step, goal)[1]
+
+
+class LookAhead(ValuedPolicy):
+    """The look-ahead policy of a soft value, with (B V)_t(s); subclasses provide V."""
 
     problem: eqx.AbstractVar[Problem]
 
@@ -45,42 +69,33 @@ class LookAhead(eqx.Module):
     ) -> Float[Array, ""]:
         """Return V_t(s) [nats] of a state where the episode goes on."""
 
-    def look(
-        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
-        """Return Q_t(s, a) and V_{t+1}(s') of every action [nats].
-
-        Q is FORBIDDEN where the action is not allowed, V is 0 where the episode ends.
-        """
-        problem = self.problem
-
-        def look(action: Array) -> tuple[Array, Array]:
-            taken = take_step(problem, state, action, step, goal)
-            ahead = jnp.where(taken.ended, 0.0, self.value(taken.state, step + 1, goal))
-            forbidden = jnp.isneginf(taken.reward)
-            reward = jnp.where(forbidden, 0.0, taken.reward)
-            return jnp.where(forbidden, FORBIDDEN, problem.beta * reward + ahead), ahead
-
-        return jax.vmap(look)(jnp.arange(problem.mdp.num_actions))
-
     def action_values(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, " A"]:
         """Return Q_t(s, a) for every action [nats], FORBIDDEN where it is not allowed."""
-        return self.look(state, step, goal)[0]
+        problem = self.problem
 
-    def __call__(
-        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> Float[Array, " A"]:
-        """Return log pi(a | state, step) for every action."""
-        return jax.nn.log_softmax(self.action_values(state, step, goal))
+        def look(action: Array) -> Array:
+            taken = take_step(problem, state, action, step, goal)
+            ahead = jnp.where(taken.ended, 0.0, self.value(taken.state, step + 1, goal))
+            forbidden = jnp.isneginf(taken.reward)
+            reward = jnp.where(forbidden, 0.0, taken.reward)
+            return jnp.where(forbidden, FORBIDDEN, problem.beta * reward + ahead)
 
-    def soft_value(
+        return jax.vmap(look)(jnp.arange(problem.mdp.num_actions))
+
+    def propose(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> Float[Array, ""]:
-        """Return (B V)_t(s), nats; that of a start at t = 0 is log Z_0 of the task."""
-        total = jax.nn.logsumexp(self.action_values(state, step, goal))
-        return total - log_measure(self.problem)
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return log pi(a | s, t) of every action, and (B V)_t(s) [nats]."""
+        return self.backed_up(self.action_values(state, step, goal))
+
+    def backed_up(
+        self, action_values: Float[Array, " A"]
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return the policy and (B V)_t(s) [nats] of action values."""
+        total = jax.nn.logsumexp(action_values)
+        return action_values - total, total - log_measure(self.problem)
 
 
 def log_measure(problem: Problem) -> float:

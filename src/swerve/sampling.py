@@ -22,7 +22,7 @@ from swerve.arguments import whole_number
 from swerve.drawing import Job, draw_task
 from swerve.evidence import Evidence
 from swerve.exact import exact_evidence
-from swerve.look_ahead import LookAhead
+from swerve.look_ahead import ValuedPolicy
 from swerve.nominal import ExactNominal, Nominal, PolicyNominal
 from swerve.progress import progress_bar
 from swerve.samples import (
@@ -156,7 +156,7 @@ def _sample_each(
                 task = Task(batch.start[k], batch.goal[k])
                 alone = Task(task.start[None], task.goal[None])
                 job = Job(nominal.problem, record, policy, task, num_trajectories, method, seed)
-                if method == "smc" and not isinstance(policy, LookAhead):
+                if method == "smc" and not isinstance(policy, ValuedPolicy):
                     raise ValueError(
                         "method: 'smc' needs a solver with a soft value "
                         f"({', '.join(SMC_SOLVERS)}), got {nominal.solver.name!r}: use 'importance'"

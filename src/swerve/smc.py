@@ -1,12 +1,13 @@
-"""Twisted sequential Monte Carlo: trajectories of a look-ahead policy, resampled as they go.
+"""Twisted sequential Monte Carlo: trajectories of a policy with a value, resampled as they go.
 
-A particle that follows the look-ahead policy of a value V gains in weight, at each step,
+A particle begins with the weight exp V_0(s_0) and gains, with each step to where its episode goes
+on (V is 0 where it does not),
 
-    beta r + log m + V(s') - V(s) - log pi = (B V)_t(s_t) - V_t(s_t),
+    beta r + log m + V_{t+1}(s') - V_t(s) - log pi(a | s, t),
 
-nothing for the exact V. Where the effective sample size of an island's weights w falls below half
-of its P particles, these are drawn anew by weight (systematic resampling) and weigh alike; with
-the means of w before each of these times and at the end,
+nothing if V is exact and pi the policy of it. Where the effective sample size of an island's
+weights w falls below half of its P particles, these are drawn anew by weight (systematic
+resampling) and weigh alike; with the means of w before each of these times and at the end,
 
     log Z_0 ~ sum log mean w,        E[exp of it] = Z_0.
 
@@ -19,6 +20,7 @@ the last axis of every array.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -26,7 +28,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from swerve.look_ahead import LookAhead, log_measure
+from swerve.look_ahead import ValuedPolicy, log_measure
+from swerve.problem import Problem
 from swerve.trajectory import Trajectory, draw_action, take_step
 
 RESAMPLED = 0.5  # of an island's particles: where fewer are effective, it is resampled
@@ -47,29 +50,27 @@ class Particles(NamedTuple):
     root: Int[Array, " N"]
 
 
-class _Carry(NamedTuple):
-    """Particles at one time; all [..., N] but the last.
+class _Particle(NamedTuple):
+    """Particles at one time, all [..., N].
 
     Attributes:
-      value: V_t(s_t) as the step before saw it; 0 at the start.
       log_weight: gained since the last resampling, nats.
-      log_mean: [I] log of the product of the means of weights so far, nats.
+      owed: what the last step adds to that, but for the value of where it led, nats.
     """
 
     state: Array
-    value: Array
     total_reward: Array
     log_probability: Array
     length: Array
     ended: Array
     root: Array
     log_weight: Array
-    log_mean: Array
+    owed: Array
 
 
 @eqx.filter_jit
 def smc_rollout(
-    policy: LookAhead,
+    policy: ValuedPolicy,
     start: Float[Array, " n"],
     goal: Float[Array, " g"],
     key: Key[Array, ""],
@@ -79,7 +80,7 @@ def smc_rollout(
     """Roll out islands of particles of one task.
 
     Args:
-      policy: what proposes, and weighs.
+      policy: what proposes, and says what to expect.
       start: where all start.
       goal: of all.
       key: source of randomness.
@@ -89,98 +90,103 @@ def smc_rollout(
     Returns:
       N = I P particles; those of an island follow one another.
     """
-    mdp, num = policy.problem.mdp, num_islands * num_particles
+    num_steps, num = policy.problem.mdp.num_steps, num_islands * num_particles
     key_actions, key_resampling = jax.random.split(key)
-    uniforms = jax.random.uniform(key_actions, (mdp.num_steps, num))
-    offsets = jax.random.uniform(key_resampling, (mdp.num_steps, num_islands))
+    uniforms = jax.random.uniform(key_actions, (num_steps, num))
+    offsets = jax.random.uniform(key_resampling, (num_steps, num_islands))
     zeros = jnp.zeros(num)
-    initial = _Carry(
+    first = _Particle(
         state=jnp.broadcast_to(start[:, None], (len(start), num)),
-        value=zeros,
         total_reward=zeros,
         log_probability=zeros,
         length=jnp.zeros(num, jnp.int32),
         ended=jnp.zeros(num, bool),
         root=jnp.tile(jnp.arange(num_particles), num_islands),
         log_weight=zeros,
-        log_mean=jnp.zeros(num_islands),
+        owed=zeros,
     )
+    propose = jax.vmap(policy.propose, (-1, None, None), -1)
+    move = jax.vmap(partial(_move, policy.problem), (-1, -1, None, None, -1), -1)
 
-    def advance(carry: _Carry, x: tuple) -> tuple[_Carry, tuple]:
-        step, uniform, offset = x
-        carry, action = _step(policy, carry, step, goal, uniform)
-        state = carry.state
-        carry, ancestor = _resampled(carry, offset, step < mdp.num_steps - 1)
-        return carry, (state, action, ancestor)
+    def advance(carry: tuple[_Particle, Array], x: tuple) -> tuple[tuple[_Particle, Array], tuple]:
+        (particles, log_mean), (step, uniform, offset) = carry, x
+        proposed = propose(particles.state, step, goal)
+        gain = particles.owed + jnp.where(particles.ended, 0.0, proposed[1])
+        particles = particles._replace(log_weight=particles.log_weight + gain)
+        particles, proposed, mean, ancestor = _resampled(particles, proposed, offset)
+        particles, action = move(particles, proposed, step, goal, uniform)
+        return (particles, log_mean + mean), (particles.state, action, ancestor)
 
-    final, history = jax.lax.scan(advance, initial, (jnp.arange(mdp.num_steps), uniforms, offsets))
+    initial = (first, jnp.zeros(num_islands))
+    (last, log_mean), history = jax.lax.scan(
+        advance, initial, (jnp.arange(num_steps), uniforms, offsets)
+    )
     states, actions = _followed_back(*history)
-    states = jnp.concatenate([initial.state[None], states])
-    trajectory = Trajectory(
-        states, actions, final.total_reward, final.log_probability, final.length
-    )
-    log_weight = final.log_weight + jnp.repeat(final.log_mean, num_particles)
-    return Particles(trajectory, log_weight, final.root)
+    states = jnp.concatenate([first.state[None], states])
+    trajectory = Trajectory(states, actions, last.total_reward, last.log_probability, last.length)
+    log_weight = last.log_weight + last.owed + jnp.repeat(log_mean, num_particles)
+    return Particles(trajectory, log_weight, last.root)
 
 
-def _step(
-    policy: LookAhead, carry: _Carry, step: Array, goal: Array, uniform: Array
-) -> tuple[_Carry, Array]:
-    """Take one step of all particles, none of those that have ended; return their actions too."""
-    problem = policy.problem
-
-    def one(state: Array, value: Array, uniform: Array) -> tuple:
-        action_values, ahead = policy.look(state, step, goal)
-        action, log_probability = draw_action(jax.nn.log_softmax(action_values), uniform)
-        taken = take_step(problem, state, action, step, goal)
-        gain = jax.nn.logsumexp(action_values) - log_measure(problem) - value
-        gain = jnp.where(jnp.isneginf(taken.reward), -jnp.inf, gain)
-        return action, log_probability, gain, ahead[action], taken
-
-    axes = (-1, -1, -1)
-    action, log_probability, gain, ahead, taken = jax.vmap(one, axes, -1)(
-        carry.state, carry.value, uniform
-    )
-    active = ~carry.ended
-    moved = carry._replace(
-        state=jnp.where(active, taken.state, carry.state),
-        value=jnp.where(active, ahead, carry.value),
-        total_reward=carry.total_reward + jnp.where(active, taken.reward, 0.0),
-        log_probability=carry.log_probability + jnp.where(active, log_probability, 0.0),
-        length=carry.length + active,
-        ended=carry.ended | taken.ended,
-        log_weight=carry.log_weight + jnp.where(active, gain, 0.0),
+def _move(
+    problem: Problem,
+    particle: _Particle,
+    proposed: tuple[Array, Array],
+    step: Array,
+    goal: Array,
+    uniform: Array,
+) -> tuple[_Particle, Array]:
+    """Take one step with one particle, none if it has ended; return the action too."""
+    log_probabilities, value = proposed
+    action, log_probability = draw_action(log_probabilities, uniform)
+    taken = take_step(problem, particle.state, action, step, goal)
+    allowed = ~jnp.isneginf(taken.reward)
+    reward = jnp.where(allowed, problem.beta * taken.reward, -jnp.inf)
+    per_step = log_measure(problem)
+    active = ~particle.ended
+    moved = particle._replace(
+        state=jnp.where(active, taken.state, particle.state),
+        total_reward=particle.total_reward + jnp.where(active, taken.reward, 0.0),
+        log_probability=particle.log_probability + jnp.where(active, log_probability, 0.0),
+        length=particle.length + active,
+        ended=particle.ended | taken.ended,
+        owed=jnp.where(active, reward - per_step - value - log_probability, 0.0),
     )
     return moved, action
 
 
-def _resampled(carry: _Carry, offset: Array, goes_on: Array) -> tuple[_Carry, Array]:
-    """Resample the islands that need it; return each particle's ancestor too."""
-    islands = carry.log_weight.reshape(len(carry.log_mean), -1)
+def _resampled(
+    particles: _Particle, proposed: tuple[Array, Array], offset: Float[Array, " I"]
+) -> tuple[_Particle, tuple[Array, Array], Float[Array, " I"], Int[Array, " N"]]:
+    """Resample the islands that need it.
+
+    Returns:
+      The particles, what is proposed to each, the log-mean of the weights of each island that was
+      resampled [nats], 0 for others, and each particle's ancestor.
+    """
+    islands = particles.log_weight.reshape(len(offset), -1)
     num_islands, num_particles = islands.shape
     largest = islands.max(axis=1, keepdims=True)
     weight = jnp.exp(islands - jnp.where(jnp.isneginf(largest), 0.0, largest))
     total = weight.sum(axis=1)
     effective = total**2 / jnp.maximum((weight**2).sum(axis=1), 1e-30)
-    needed = (effective < RESAMPLED * num_particles) & (total > 0.0) & goes_on
+    needed = (effective < RESAMPLED * num_particles) & (total > 0.0)
     itself = jnp.arange(num_islands * num_particles)
 
-    def resample(carry: _Carry) -> tuple[_Carry, Array]:
+    def resample(particles: _Particle, proposed: tuple[Array, Array]) -> tuple:
         chosen = jax.vmap(_systematic)(weight, offset)
         first = num_particles * jnp.arange(num_islands)[:, None]
         ancestor = jnp.where(needed[:, None], first + chosen, itself.reshape(islands.shape))
         ancestor = ancestor.reshape(-1)
-        drawn = {
-            name: column[..., ancestor]
-            for name, column in carry._asdict().items()
-            if name != "log_mean"
-        }
-        mean = jnp.log(total / num_particles) + largest[:, 0]
-        drawn["log_weight"] = jnp.where(needed[:, None], 0.0, islands).reshape(-1)
-        drawn["log_mean"] = carry.log_mean + jnp.where(needed, mean, 0.0)
-        return _Carry(**drawn), ancestor
+        log_weight = jnp.where(needed[:, None], 0.0, islands).reshape(-1)
+        particles, proposed = jax.tree.map(lambda x: x[..., ancestor], (particles, proposed))
+        log_mean = jnp.where(needed, jnp.log(total / num_particles) + largest[:, 0], 0.0)
+        return particles._replace(log_weight=log_weight), proposed, log_mean, ancestor
 
-    return jax.lax.cond(needed.any(), resample, lambda carry: (carry, itself), carry)
+    def keep(particles: _Particle, proposed: tuple[Array, Array]) -> tuple:
+        return particles, proposed, jnp.zeros(num_islands), itself
+
+    return jax.lax.cond(needed.any(), resample, keep, particles, proposed)
 
 
 def _systematic(weight: Float[Array, " P"], offset: Float[Array, ""]) -> Int[Array, " P"]:
@@ -198,8 +204,7 @@ def _followed_back(
 
     def back(index: Array, x: tuple[Array, Array, Array]) -> tuple[Array, tuple[Array, Array]]:
         state, action, ancestor = x
-        index = ancestor[index]
-        return index, (state[:, index], action[index])
+        return ancestor[index], (state[:, index], action[index])
 
     last = jnp.arange(states.shape[-1])
     return jax.lax.scan(back, last, (states, actions, ancestors), reverse=True)[1]

@@ -68,6 +68,7 @@ class SoftValue:
       segment: L, steps of each lane between updates.
       explore: share of the lanes that start anywhere at any time.
       num_epochs: passes over a segment.
+      num_minibatches: G, updates a pass; has to divide the segment.
       trace: lambda of the returns; 0 trusts the network, 1 the residuals along the segment.
       learning_rate: at first, falling to a hundredth.
       width: of the two hidden layers.
@@ -80,8 +81,9 @@ class SoftValue:
     segment: int = 32
     explore: float = 0.5
     num_epochs: int = 2
+    num_minibatches: int = 8
     trace: float = 0.99
-    learning_rate: float = 2e-3
+    learning_rate: float = 3e-3
     width: int = 160
     loss_scale: float = 5.0
     fade: float = 0.04
@@ -89,8 +91,20 @@ class SoftValue:
     name = "soft-value"
 
     def __post_init__(self) -> None:
-        for field in ("num_steps", "num_lanes", "segment", "num_epochs", "width"):
+        for field in (
+            "num_steps",
+            "num_lanes",
+            "segment",
+            "num_epochs",
+            "num_minibatches",
+            "width",
+        ):
             whole_number(getattr(self, field), f"SoftValue: {field}", 1)
+        if self.segment % self.num_minibatches:
+            raise ValueError(
+                f"SoftValue: num_minibatches: expected a divisor of the segment {self.segment}, "
+                f"got {self.num_minibatches}"
+            )
         for field in ("explore", "trace"):
             if not 0.0 <= getattr(self, field) <= 1.0:
                 raise ValueError(

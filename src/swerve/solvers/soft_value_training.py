@@ -13,8 +13,8 @@ the sum ending with the episode or the segment. Lanes that explore start anew, a
 with every segment; the others go on from where they were until their episode ends. The random
 numbers of an iteration depend on the seed and its number alone.
 
-Shapes: N lanes, L steps of a segment, A actions, F features, n states, g goal dimensions. The batch
-is the last axis of every array.
+Shapes: N lanes, L steps of a segment, G minibatches, A actions, F features, n states, g goal
+dimensions. The batch is the last axis of every array.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from swerve.look_ahead import LookAhead, log_measure
+from swerve.look_ahead import LookAhead
 from swerve.problem import Problem
 from swerve.solvers import losses
 from swerve.solvers.lanes import Lanes, fresh_lanes, over_lanes
 from swerve.solvers.networks import DenseNetwork
+from swerve.solvers.soap import soap
 from swerve.trajectory import draw_action, take_step
 
 if TYPE_CHECKING:
@@ -139,11 +140,10 @@ class Trainer:
 
     @property
     def optimiser(self) -> optax.GradientTransformation:
-        """Adam with clipped gradients and a falling rate."""
+        """SOAP with a falling rate."""
         settings = self.settings
-        num_updates = settings.num_iterations * settings.num_epochs * settings.segment
-        schedule = optax.cosine_decay_schedule(settings.learning_rate, num_updates, RATE_END)
-        return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule, b2=0.99))
+        num_updates = settings.num_iterations * settings.num_epochs * settings.num_minibatches
+        return soap(optax.cosine_decay_schedule(settings.learning_rate, num_updates, RATE_END))
 
     @partial(jax.jit, static_argnums=(0, 2))
     def run(
@@ -160,9 +160,10 @@ class Trainer:
         residual = segment.backed - now
         target = now + losses.discounted(residual, segment.ended, self.settings.trace)
 
+        batches = jax.tree.map(self.minibatches, (segment.features, segment.shape, target))
+
         def epoch(carry: tuple, _: Any) -> tuple[tuple, Array]:
-            # every step of the segment is a batch, of lanes that do not depend on one another
-            return jax.lax.scan(self.update, carry, (segment.features, segment.shape, target))
+            return jax.lax.scan(self.update, carry, batches)
 
         carry = (state.network, state.optimiser)
         carry, loss = jax.lax.scan(epoch, carry, None, length=self.settings.num_epochs)
@@ -184,9 +185,8 @@ class Trainer:
         lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
 
         def advance(lanes: Lanes, fresh: Lanes, uniform: Array) -> tuple[Lanes, Segment]:
-            action_values = policy.action_values(*lanes)
-            backed = jax.nn.logsumexp(action_values) - log_measure(problem)
-            action, _ = draw_action(jax.nn.log_softmax(action_values), uniform)
+            log_probabilities, backed = policy.propose(*lanes)
+            action, _ = draw_action(log_probabilities, uniform)
             taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
             moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
             following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
@@ -197,13 +197,20 @@ class Trainer:
             lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
         )
 
+    def minibatches(self, column: Array) -> Array:
+        """Return a segment's [L, ..., N] as [G, ..., L N / G], steps of a batch far apart."""
+        num = self.settings.num_minibatches
+        column = column.reshape(-1, num, *column.shape[1:])
+        column = jnp.moveaxis(column, 0, -2)
+        return column.reshape(*column.shape[:-2], -1)
+
     def values(self, network: DenseNetwork) -> Any:
         """Return what maps features [F, N] and shapes [N] to values [N]."""
         each = over_lanes(self.policy(network).value_of, -1, -1)
         return lambda inputs: each(*inputs)
 
     def update(self, carry: tuple, batch: tuple[Array, Array, Array]) -> tuple[tuple, Array]:
-        """Take one optimiser step on the values of one step of the segment."""
+        """Take one optimiser step on one batch."""
         network, state = carry
         loss, gradient = jax.value_and_grad(self.loss)(network, batch)
         updates, state = self.optimiser.update(gradient, state)
