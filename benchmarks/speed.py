@@ -32,8 +32,8 @@ from swerve import PPO, Grid, grid, learn
 from swerve.demo import FOLDER, PROBLEM
 from swerve.drawing import CHUNK
 from swerve.solvers.grid import GridNominal
-from swerve.solvers.ppo import PPONominal
 from swerve.solvers.ppo_training import Trainer
+from swerve.solvers.training import TrainedNominal
 from swerve.specification import load_problem
 from swerve.trajectory import rollout
 
@@ -113,7 +113,7 @@ def rollouts() -> dict[str, float]:
     start, goal = jnp.array([1.0, 0.5]), jnp.array([3.0, 0.0])
     network = learn(problem, PPO(num_steps=1, num_lanes=8, segment=1))
     lookahead = next(Grid().learn(problem).policies(np.asarray(goal)[None]))
-    assert isinstance(network, PPONominal)
+    assert isinstance(network, TrainedNominal)
     figures = {}
     for name, policy, chunks in (("64 x 64", network.policy, 32), ("look-ahead", lookahead, 4)):
 
@@ -133,7 +133,7 @@ def training() -> dict[str, float]:
     settings = PPO(num_steps=20_000_000)
     trainer = Trainer(load_problem(PROBLEM), settings, 0)
     iterations = settings.chunk_iterations
-    state = jax.block_until_ready(trainer.run(trainer.initial_state(), iterations))
+    state, _ = jax.block_until_ready(trainer.run(trainer.initial_state(), iterations))
     best = seconds(lambda: jax.block_until_ready(trainer.run(state, iterations)), 4)
     return {"PPO, learning included (steps/s)": settings.chunk_steps / best}
 

@@ -253,7 +253,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint(robot: str, tmp_path: Path) ->
     assert "the same command goes on" in said
     assert "Traceback" not in said
     [checkpoint] = work.glob("*.checkpoint")
-    assert store.open_file(checkpoint, "swerve-ppo-checkpoint", 1).names
+    assert store.open_file(checkpoint, "swerve-ppo-checkpoint", 2).names
     assert not list(work.glob("*.nominal"))
 
 

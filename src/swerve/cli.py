@@ -120,8 +120,16 @@ def learn(
     """Learn the nominal distribution of a problem into a work folder.
 
     Training that is interrupted goes on where it stopped when the same command is given again.
+    A picture of how it went is written beside what was learned.
     """
-    nominal = _work(problem, work, solver, seed).nominal()
+    from swerve.solvers.training import TrainedNominal
+
+    job = _work(problem, work, solver, seed)
+    nominal = job.nominal()
+    picture = job.path("training.png")
+    if isinstance(nominal, TrainedNominal) and picture is not None:
+        nominal.plot_training(picture)
+        _say(f"how training went: {picture}")
     _say(f"learned with {nominal.solver!r}; next: swerve sample or swerve infer, --work {work}")
 
 

@@ -29,7 +29,7 @@ from swerve.systems.tabular import TabularMDP
 from swerve.trajectory import Policy
 
 KIND = "swerve-nominal"
-VERSION = 1
+VERSION = 2
 
 
 class Nominal(Protocol):

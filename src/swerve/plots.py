@@ -16,12 +16,10 @@ from typing import Any, cast
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
@@ -29,6 +27,7 @@ from matplotlib.patheffects import Normal, Stroke
 from swerve import plane as planes
 from swerve import wording
 from swerve.boxes import Box
+from swerve.figures import ALARM, FAINT, INK, WIDTH, headed, written
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import Inference
 from swerve.plane import Plane
@@ -39,12 +38,10 @@ NUM_BARS = 12
 NUM_OUTLINED = 100  # hypotheses of the first rank that are outlined
 MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
 MAX_WARNING = 300  # characters of a warning; the report has all of them
-WIDTH, MIN_WIDTH = 8.4, 2.5  # in
 NARROW = 6.0  # in; below it the colour bar goes under the picture
 CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
 DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
 
-INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"
 STRUCK_OUT, HATCH, KNOWN = "#f3f3f3", "#b4b4b4", "#3c3c3c"
 DEMONSTRATION, NOMINAL = "#0072b2", "#555555"
 LEADER_BAR, OTHER_BAR = "#5b1a78", "#bcaec4"
@@ -85,7 +82,8 @@ def plot_inference(
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
     nominal = planes.nominal_paths(inference, NUM_LINES)
     plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal])
-    figure, axes = _figure(header, width, *_size(plane, width))
+    figure = headed(header, width, *_size(plane, width))
+    axes = figure.add_subplot()
     notes = _draw_scores(axes, inference, plane)
     notes += _draw_leaders(axes, inference, plane)
     _draw_known(axes, inference, plane)
@@ -96,7 +94,7 @@ def plot_inference(
     if len(inference.ranking):
         _colour_bar(axes, inference, "right" if is_wide else "bottom")
     _legend(figure, axes, is_wide)
-    return _written(figure, path)
+    return written(figure, path)
 
 
 def plot_ranking(
@@ -115,10 +113,11 @@ def plot_ranking(
     shown, total = inference.ranking[:NUM_BARS], len(inference.ranking)
     title = f"First {len(shown)} of {wording.counted(total, wording.noun(inference))} left"
     header = [(title if total else wording.title(inference), 11.5, INK)]
-    figure, axes = _figure(header, width, 0.42 * len(shown) + 0.8, width)
+    figure = headed(header, width, 0.42 * len(shown) + 0.8, width)
+    axes = figure.add_subplot()
     if not total:
         axes.set_axis_off()
-        return _written(figure, path)
+        return written(figure, path)
     score, error = inference.score[shown], inference.score_error[shown]
     is_first = inference.rank[: len(shown)] == 1
     colours = [LEADER_BAR if first else OTHER_BAR for first in is_first]
@@ -138,7 +137,7 @@ def plot_ranking(
     axes.tick_params(labelsize=8)
     label = f"{wording.score_label(inference)}; whiskers: standard error"
     axes.set_xlabel(wording.wrapped(label, width - 0.5, 8.5), fontsize=8.5)
-    return _written(figure, path)
+    return written(figure, path)
 
 
 def _header(inference: Inference) -> list[tuple[str, float, str]]:
@@ -340,36 +339,3 @@ def _patch(rectangles: np.ndarray, **style: Any) -> PathPatch:
     vertices = rectangles[:, [*CORNERS, CORNERS[0]]].reshape(-1, 2)
     codes = [Outline.MOVETO, *3 * [Outline.LINETO], Outline.CLOSEPOLY]
     return PathPatch(Outline(vertices, np.tile(codes, len(rectangles))), **style)
-
-
-def _figure(
-    header: list[tuple[str, float, str]], width: float, height: float, used: float
-) -> tuple[Figure, Axes]:
-    """Return a figure with lines of (text, size [pt], colour) above axes of this height [in]."""
-    if width < MIN_WIDTH:
-        raise ValueError(f"width: expected at least {MIN_WIDTH} in, got {width}")
-    lines = []
-    for text, size, colour in header:
-        lines += [
-            (line, size, colour) for line in wording.wrapped(text, width - 0.3, size).split("\n")
-        ]
-    top = 0.15 + sum(1.4 * size / 72 for _, size, _ in lines)
-    figure = Figure((width, height + top), facecolor="white")
-    FigureCanvasAgg(figure)
-    figure.set_layout_engine(
-        ConstrainedLayoutEngine(rect=(0, 0, used / width, height / (height + top)))
-    )
-    y = height + top - 0.1
-    for text, size, colour in lines:
-        weight = "normal" if colour == FAINT else "bold"
-        style: dict[str, Any] = {"fontsize": size, "color": colour, "fontweight": weight}
-        figure.text(0.12 / width, y / (height + top), text, va="top", parse_math=False, **style)
-        y -= 1.4 * size / 72
-    return figure, figure.add_subplot()
-
-
-def _written(figure: Figure, path: str | Path | None) -> Figure:
-    if path is not None:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=200)
-    return figure

@@ -5,6 +5,7 @@
     <solver>.seed<S>.nominal                       what the solver learned
     <solver>.seed<S>.<method>.<N>.evidence         what sampling it told
     <solver>.seed<S>.checkpoint                    training that is under way
+    <solver>.seed<S>.training.png                  a picture of how training went
 
 Other settings make other files, so nothing is replaced. Settings that are left out are those with
 which something was last worked out. As long as none of the sources has changed, results are read
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from swerve.nominal import Nominal
     from swerve.problem import Problem
 
-RESULTS = ("*.nominal", "*.evidence", "*.checkpoint")
+RESULTS = ("*.nominal", "*.evidence", "*.checkpoint", "*.training.png")
 FORMAT = 3  # of problem.json
 NUM_PRIOR_TASKS = 8
 SAVE_INTERVAL = 60.0  # s between two saves while sampling
@@ -139,7 +140,7 @@ class Work:
         solver = resolve_solver(settings.solver)
         solver.check(problem)
         self._begin()
-        path, checkpoint = self._path("nominal"), self._path("checkpoint")
+        path, checkpoint = self.path("nominal"), self.path("checkpoint")
         if path is not None and path.exists():
             self.say(f"using {path}")
             return load_nominal(path, problem)
@@ -189,7 +190,7 @@ class Work:
 
     def _save(self, found: list[Evidence]) -> None:
         """Write evidence, with that of tasks which another process has added meanwhile."""
-        path = self._path("evidence")
+        path = self.path("evidence")
         if self.folder is None or path is None:
             return
         evidence = found[0].joined(*found[1:])
@@ -219,7 +220,7 @@ class Work:
         self.say(f"no demonstrations and no tasks: drawing {NUM_PRIOR_TASKS} tasks from the MDP")
         return draw_tasks(problem, NUM_PRIOR_TASKS, seed=self.settings.seed or 0)
 
-    def _path(self, suffix: str, method: str | None = None) -> Path | None:
+    def path(self, suffix: str, method: str | None = None) -> Path | None:
         """Return the file of a result, named after all settings that it depends on."""
         if self.folder is None:
             return None
@@ -235,7 +236,7 @@ class Work:
             _ = self.problem  # which may show that what is stored is out of date
         if self._stored is None:
             return None
-        path = self._path("evidence", method)
+        path = self.path("evidence", method)
         if path is None or not path.exists():
             return None
         evidence = Evidence.load(path)

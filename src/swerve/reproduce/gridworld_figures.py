@@ -24,7 +24,8 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve import store
-from swerve.plots import COLOURS, FAINT, INK
+from swerve.figures import FAINT, INK
+from swerve.plots import COLOURS
 from swerve.reproduce.gridworld import Curves, Result, labels
 from swerve.systems.gridworld import MOVES, Gridworld
 from swerve.tables import csv_text

@@ -12,7 +12,7 @@ import numpy as np
 from swerve import store
 from swerve.problem import Problem
 
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,29 +23,12 @@ LEAST_ADVANTAGE = -5.0  # of the scale; e^-5 leaves next to nothing of an action
 LARGEST_EXPONENT = 8.0  # of the value scale: values up to about scale * 3000 nats
 
 
-def advantages(
-    reward: Float[Array, "L N"],
-    value: Float[Array, "L N"],
-    next_value: Float[Array, "L N"],
-    ended: Bool[Array, "L N"],
-    gae_lambda: float,
-) -> Float[Array, "L N"]:
-    """Return generalised advantage estimates without discount.
-
-    Args:
-      reward: soft rewards, nats.
-      value: V(s_t).
-      next_value: V(s_{t+1}), 0 where the episode ended with this step.
-      ended: where it did.
-      gae_lambda: 0 trusts the value, 1 the rewards.
-    """
-    return discounted(reward + next_value - value, ended, gae_lambda)
-
-
 def discounted(
     residual: Float[Array, "L N"], ended: Bool[Array, "L N"], trace: float
 ) -> Float[Array, "L N"]:
     """Return sum_k trace^k residual_{t+k}, up to the end of the episode or of the segment.
+
+    Of r~ + V(s') - V(s) these are generalised advantage estimates without discount.
 
     Args:
       residual: nats.

@@ -2,40 +2,22 @@
 
 The paper's way to pi_0: maximise its eq. 6, where the log-probability of the executed action is
 part of the return at weight 1 / beta, here with everything times beta, in nats. Half of the lanes
-start anywhere at any time (exploring starts), half where tasks start; see `ppo_training`. A run is
-one `scan` over iterations, cut into chunks between which progress is shown and a checkpoint
-written.
-
-Shapes: A actions, n states, g goal dimensions.
+start anywhere at any time (exploring starts), half where tasks start; see `ppo_training` for an
+iteration and `training` for a run of them.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-
-import equinox as eqx
-import jax
-import numpy as np
-from jaxtyping import Array, Float, Int
 
 from swerve.arguments import whole_number
 from swerve.problem import Problem
-from swerve.progress import progress_bar
-from swerve.solvers.checkpoints import Checkpoint
-from swerve.solvers.lanes import check_lanes
-from swerve.solvers.networks import DenseNetwork, from_arrays, to_arrays
-from swerve.solvers.ppo_training import PPOState, Trainer
-from swerve.solvers.probe import Probe
-from swerve.space import Task
-
-NUM_CHUNKS = 40
+from swerve.solvers.ppo_training import Trainer
+from swerve.solvers.training import Progress, TrainingSolver
 
 
 @dataclass(frozen=True)
-class PPO:
+class PPO(TrainingSolver):
     """Solver: maximum-entropy PPO.
 
     Attributes:
@@ -88,111 +70,10 @@ class PPO:
                 f"and {self.num_lanes}"
             )
 
-    @property
-    def chunk_iterations(self) -> int:
-        """Iterations between two checkpoints."""
-        return max(1, round(self.num_steps / (self.num_lanes * self.segment * NUM_CHUNKS)))
+    def trainer(self, problem: Problem, seed: int) -> Trainer:
+        """Return what trains for a problem."""
+        return Trainer(problem, self, seed)
 
-    @property
-    def chunk_steps(self) -> int:
-        """Environment steps between two checkpoints."""
-        return self.chunk_iterations * self.num_lanes * self.segment
-
-    @property
-    def num_chunks(self) -> int:
-        """Chunks of a run: about NUM_CHUNKS."""
-        return max(1, round(self.num_steps / self.chunk_steps))
-
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> PPONominal:
-        """Train, or go on training from a checkpoint, and return the nominal distribution.
-
-        Args:
-          problem: what to learn.
-          tasks: those on which KL and ESS are estimated for the progress bar; drawn if None.
-          seed: of everything random.
-          progress: whether to show a bar with steps per second, KL and ESS.
-          checkpoint: file that is written after every chunk and resumed from; None for neither.
-
-        Raises:
-          ValueError: if the checkpoint is of another run, training diverged, or no episode that the
-            MDP draws can begin.
-        """
-        trainer = Trainer(problem, self, seed)
-        check_lanes(problem, self.num_lanes, seed)
-        state = trainer.initial_state()
-        file = Checkpoint(checkpoint, problem, self, seed)
-        arrays = file.load()
-        if arrays is not None:
-            state = from_arrays(state, arrays)
-        done = int(state.iteration) // self.chunk_iterations
-        probe = Probe(problem, tasks) if progress else None
-        with progress_bar("training", self.num_chunks * self.chunk_steps, progress) as advance:
-            advance(done * self.chunk_steps)
-            for _ in range(done, self.num_chunks):
-                began = time.perf_counter()
-                state = jax.block_until_ready(trainer.run(state, self.chunk_iterations))
-                rate = self.chunk_steps / (time.perf_counter() - began)
-                _check_finite(state, trainer)
-                file.save(to_arrays(state))
-                note = str(probe.read(PPOPolicy(problem, state.policy))) if probe else ""
-                advance(self.chunk_steps, note=f"{rate / 1000:.0f} k steps/s  {note}")
-        return PPONominal(problem, self, PPOPolicy(problem, state.policy))
-
-    def check(self, problem: Problem) -> None:
-        """Do nothing: there is no problem that PPO could not try."""
-
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> PPONominal:
-        """Return the nominal distribution whose `arrays` were stored."""
-        policy = eqx.filter_eval_shape(Trainer(problem, self, 0).initial_state).policy
-        return PPONominal(problem, self, PPOPolicy(problem, from_arrays(policy, arrays)))
-
-
-class PPOPolicy(eqx.Module):
-    """The learned policy of all goals."""
-
-    problem: Problem = eqx.field(static=True)
-    network: DenseNetwork
-
-    def __call__(
-        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
-    ) -> Float[Array, " A"]:
-        """Return log pi(a | state, step, goal) for every action."""
-        return jax.nn.log_softmax(self.network(self.problem.mdp.features(state, step, goal)))
-
-
-@dataclass(frozen=True, eq=False)
-class PPONominal:
-    """pi_0 as a policy network that takes the goal as an input."""
-
-    problem: Problem
-    solver: PPO
-    policy: PPOPolicy
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the policy's weights."""
-        return to_arrays(self.policy.network)
-
-    def policies(
-        self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
-    ) -> Iterator[PPOPolicy]:
-        """Yield the same policy for each goal."""
-        for _ in goals:
-            advance(1.0)
-            yield self.policy
-
-
-def _check_finite(state: PPOState, trainer: Trainer) -> None:
-    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.policy, state.value))):
-        raise ValueError(
-            f"training diverged before iteration {int(state.iteration)}: a weight is not finite. "
-            f"Check the rewards and features of {type(trainer.problem.mdp).__name__}, or lower "
-            f"learning_rate from {trainer.settings.learning_rate}"
-        )
+    def has_settled(self, history: list[Progress]) -> bool:
+        """Return False: it is trained for as long as it was told."""
+        return False

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from swerve.problem import Problem
 from swerve.solvers import losses
@@ -35,6 +35,19 @@ KNOWN_PENALTY = 1e4  # nats, where an episode ends in a known constraint: worse 
 RATE_END = 0.01  # of the first learning rate, reached at the end
 
 
+class PPOPolicy(eqx.Module):
+    """The learned policy of all goals."""
+
+    problem: Problem = eqx.field(static=True)
+    network: DenseNetwork
+
+    def __call__(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " A"]:
+        """Return log pi(a | state, step, goal) for every action."""
+        return jax.nn.log_softmax(self.network(self.problem.mdp.features(state, step, goal)))
+
+
 class PPOState(NamedTuple):
     """Everything that training carries; with the settings and the seed it determines the rest."""
 
@@ -47,13 +60,14 @@ class PPOState(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """What a rollout leaves for the losses: [F, N], [N], [A, N], [N], [N] with a leading L."""
+    """What a rollout leaves: [F, N], [N], [A, N], [N], [N] for the losses, and lanes; leading L."""
 
     features: Array
     action: Array
     log_probabilities: Array
     reward: Array
     ended: Array
+    lanes: Lanes
 
 
 class Batch(NamedTuple):
@@ -67,6 +81,16 @@ class Batch(NamedTuple):
     target: Array
 
 
+class PPOInfo(NamedTuple):
+    """How an iteration went.
+
+    Attributes:
+      residual: median of |r~ + V(s') - V(s)|, r~ the soft reward, nats.
+    """
+
+    residual: Float[Array, ""]
+
+
 @dataclass(frozen=True, eq=False)
 class Trainer:
     """One run: its problem, settings and seed."""
@@ -74,6 +98,19 @@ class Trainer:
     problem: Problem
     settings: PPO
     seed: int
+
+    def policy_of(self, state: PPOState) -> PPOPolicy:
+        """Return the policy that was learned."""
+        return PPOPolicy(self.problem, state.policy)
+
+    @partial(jax.jit, static_argnums=0)
+    def visited(self, state: PPOState) -> Lanes:
+        """Return where the lanes go in the iteration that begins in a state, [L, ..., N]."""
+        return self.rollout(state.policy, state.lanes, self.key(state))[1].lanes
+
+    def key(self, state: PPOState) -> Key[Array, ""]:
+        """Return the source of randomness of the iteration that begins in a state."""
+        return jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
 
     def initial_state(self) -> PPOState:
         """Return what training starts from."""
@@ -93,33 +130,28 @@ class Trainer:
     def optimiser(self) -> optax.GradientTransformation:
         """Adam with clipped gradients and a falling rate."""
         settings = self.settings
-        num_updates = (
-            settings.num_chunks
-            * settings.chunk_iterations
-            * settings.num_epochs
-            * settings.num_minibatches
-        )
+        num_updates = settings.num_iterations * settings.num_epochs * settings.num_minibatches
         rate = settings.learning_rate
         schedule = optax.linear_schedule(rate, rate * RATE_END, num_updates)
         return optax.chain(optax.clip_by_global_norm(10.0), optax.adam(schedule, b2=0.99, eps=1e-6))
 
     @partial(jax.jit, static_argnums=(0, 2))
-    def run(self, state: PPOState, num_iterations: int) -> PPOState:
-        """Run iterations of training in one scan."""
-        return jax.lax.scan(self.iterate, state, None, length=num_iterations)[0]
+    def run(self, state: PPOState, num_iterations: int) -> tuple[PPOState, PPOInfo]:
+        """Run iterations of training in one scan; the information is that of each."""
+        return jax.lax.scan(self.iterate, state, None, length=num_iterations)
 
-    def iterate(self, state: PPOState, _: Any) -> tuple[PPOState, None]:
+    def iterate(self, state: PPOState, _: Any) -> tuple[PPOState, PPOInfo]:
         """Roll out one segment in all lanes and learn from it."""
-        key = jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
-        lanes, segment = self.rollout(state.policy, state.lanes, key)
-        batch = self.batch(state.value, segment, lanes)
+        lanes, segment = self.rollout(state.policy, state.lanes, self.key(state))
+        batch, residual = self.batch(state.value, segment, lanes)
 
         def epoch(carry: tuple, _: Any) -> tuple[tuple, None]:
             return jax.lax.scan(self.update, carry, batch)
 
         carry = (state.policy, state.value, state.policy_optimiser, state.value_optimiser)
         carry, _ = jax.lax.scan(epoch, carry, None, length=self.settings.num_epochs)
-        return PPOState(*carry, lanes, state.iteration + 1), None
+        info = PPOInfo(jnp.median(jnp.abs(residual)))
+        return PPOState(*carry, lanes, state.iteration + 1), info
 
     def rollout(
         self, policy: DenseNetwork, lanes: Lanes, key: Key[Array, ""]
@@ -143,16 +175,19 @@ class Trainer:
                 jnp.isneginf(taken.reward), -KNOWN_PENALTY, problem.beta * taken.reward
             )
             moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
-            lanes = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
+            following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
             reward = earned - log_probability - offset
-            return lanes, Segment(features, action, log_probabilities, reward, taken.ended)
+            left = Segment(features, action, log_probabilities, reward, taken.ended, lanes)
+            return following, left
 
         return jax.lax.scan(
             lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
         )
 
-    def batch(self, value: DenseNetwork, segment: Segment, lanes: Lanes) -> Batch:
-        """Return advantages and targets, in minibatches of whole lanes."""
+    def batch(
+        self, value: DenseNetwork, segment: Segment, lanes: Lanes
+    ) -> tuple[Batch, Float[Array, "L N"]]:
+        """Return advantages and targets, in minibatches of whole lanes, and residuals [nats]."""
         settings = self.settings
         groups = settings.num_minibatches
 
@@ -170,11 +205,10 @@ class Trainer:
         now = jnp.moveaxis(now, 0, -1).reshape(settings.segment, -1)
         last = values(over_lanes(self.problem.mdp.features, -1, -1, -1)(*lanes))
         later = jnp.where(segment.ended, 0.0, jnp.concatenate([now[1:], last[None]]))
-        advantage = losses.advantages(
-            segment.reward, now, later, segment.ended, settings.gae_lambda
-        )
+        residual = segment.reward + later - now
+        advantage = losses.discounted(residual, segment.ended, settings.gae_lambda)
         columns = (segment.action, segment.log_probabilities, advantage, now, advantage + now)
-        return Batch(features, *map(group, columns))
+        return Batch(features, *map(group, columns)), residual
 
     def update(self, carry: tuple, batch: Batch) -> tuple[tuple, None]:
         """Take one step on a minibatch, of the policy and of the value."""

@@ -88,19 +88,21 @@ class SoftValueState(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """What a rollout leaves for the loss: [F, N] and three of [N], with a leading L.
+    """What a rollout leaves: [F, N], three of [N] for the loss, and lanes; with a leading L.
 
     Attributes:
       features: of the states.
       shape: what is left there of the terminal reward, nats.
       backed: (B V)_t(s_t), nats.
       ended: whether the episode ended with this step.
+      lanes: where they were.
     """
 
     features: Array
     shape: Array
     backed: Array
     ended: Array
+    lanes: Lanes
 
 
 class SoftValueInfo(NamedTuple):
@@ -126,6 +128,19 @@ class Trainer:
     def policy(self, network: DenseNetwork) -> SoftValuePolicy:
         """Return the look-ahead policy of a network."""
         return SoftValuePolicy(self.problem, self.settings, network)
+
+    def policy_of(self, state: SoftValueState) -> SoftValuePolicy:
+        """Return the look-ahead policy of what was learned."""
+        return self.policy(state.network)
+
+    @partial(jax.jit, static_argnums=0)
+    def visited(self, state: SoftValueState) -> Lanes:
+        """Return where the lanes go in the iteration that begins in a state, [L, ..., N]."""
+        return self.rollout(self.policy_of(state), state.lanes, self.key(state))[1].lanes
+
+    def key(self, state: SoftValueState) -> Key[Array, ""]:
+        """Return the source of randomness of the iteration that begins in a state."""
+        return jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
 
     def initial_state(self) -> SoftValueState:
         """Return what training starts from."""
@@ -154,8 +169,7 @@ class Trainer:
 
     def iterate(self, state: SoftValueState, _: Any) -> tuple[SoftValueState, SoftValueInfo]:
         """Roll out one segment in all lanes and learn from it."""
-        key = jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
-        lanes, segment = self.rollout(self.policy(state.network), state.lanes, key)
+        lanes, segment = self.rollout(self.policy_of(state), state.lanes, self.key(state))
         now = jax.lax.map(self.values(state.network), segment[:2])
         residual = segment.backed - now
         target = now + losses.discounted(residual, segment.ended, self.settings.trace)
@@ -191,7 +205,7 @@ class Trainer:
             moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
             following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
             inputs = policy.inputs(*lanes)
-            return following, Segment(*inputs, jnp.maximum(backed, LOWEST), taken.ended)
+            return following, Segment(*inputs, jnp.maximum(backed, LOWEST), taken.ended, lanes)
 
         return jax.lax.scan(
             lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
