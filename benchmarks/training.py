@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from accuracy import exact_log_partition, print_rows, read_exact
+from accuracy import NUM_REFERENCE, print_rows, read_exact
 from rich.console import Console
 
-from swerve import PPO, Problem, SoftValue, Task, read_demonstrations, sample
+from swerve import PPO, Grid, Problem, SoftValue, Task, learn, read_demonstrations, sample
 from swerve.estimators import kl_divergence
 from swerve.solvers.training import NUM_CHUNKS, Progress, Run, TrainedNominal, TrainingSolver
 from swerve.specification import load_problem
@@ -66,13 +66,17 @@ def read_truth(folder: Path, torque: str) -> Truth:
     path = folder / f"exact_violation_torque{torque}.csv"
     if not path.exists():
         raise SystemExit(f"{folder}: no {path.name}")
-    text = f"pendulum?between_states=false&max_torque={torque}"
-    problem = load_problem(text)
+    problem = load_problem(f"pendulum?between_states=false&max_torque={torque}")
     files = sorted(folder.glob("demo_*.csv"))
     demonstrations = read_demonstrations(files, problem.mdp.space, tasks=folder / "tasks.csv")
     tasks = Task.stack([demonstration.task for demonstration in demonstrations])
     violation = read_exact(path, demonstrations)
-    return Truth(problem, tasks, violation, exact_log_partition(text, tasks))
+    return Truth(problem, tasks, violation, exact_log_partition(problem, tasks))
+
+
+def exact_log_partition(problem: Problem, tasks: Task) -> np.ndarray:
+    """Return log Z_0 [K] by importance weights of the default grid, whose ESS is near N."""
+    return sample(learn(problem, Grid()), tasks, NUM_REFERENCE, progress=True).log_partition
 
 
 def with_steps(solver: TrainingSolver, num_steps: float) -> TrainingSolver:

@@ -30,7 +30,9 @@ def training(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         PPO(num_lanes=16, segment=4, num_minibatches=2, width=8),
     )
     monkeypatch.setattr(module, "SOLVERS", small)
-    monkeypatch.setattr(module, "exact_log_partition", lambda text, tasks: np.array([-3.0, -4.0]))
+    monkeypatch.setattr(
+        module, "exact_log_partition", lambda problem, tasks: np.array([-3.0, -4.0])
+    )
     return module
 
 
