@@ -34,7 +34,7 @@ from swerve.specification import load_problem
 from swerve.training_plot import LEAST, finish, log_scale, time_unit
 
 SOLVERS: tuple[TrainingSolver, ...] = (SoftValue(), PPO())
-TIMED = 4  # iterations that are timed, after as many others
+TIMED = 20  # iterations that are timed, after as many others
 MARKS: tuple[dict[str, Any], ...] = (
     {"color": "#0072b2", "marker": "o"},
     {"color": "#d55e00", "marker": "s"},

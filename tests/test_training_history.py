@@ -155,9 +155,7 @@ class TestPlot:
             np.testing.assert_allclose(np.asarray(line.get_ydata()), values)
         assert lines["median"].get_linestyle() != lines["worst task"].get_linestyle()
         title = figure.texts[0].get_text().replace("\xa0", " ")
-        assert title == (
-            "ppo after 8.33 min, 20 million steps: KL 0.30 nats, ESS 80 %, residual 0.1 nats"
-        )
+        assert title == "ppo after 8.33 min, 20 million steps: KL 0.30 nats, ESS 80 %"
 
     def test_marks_steps_where_time_had_come_to_them(self) -> None:
         seconds = 500.0 * np.linspace(0.1, 1.0, 10) ** 2

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from swerve.figures import FAINT, INK, WIDTH, headed, written
+from swerve.solvers.probe import Reading
 from swerve.solvers.training import Progress, TrainedNominal
 
 HEIGHT = 5.8  # in
@@ -72,6 +73,8 @@ def log_scale(axes: Axes) -> None:
     """Make the vertical axis logarithmic, with plain numbers that are near enough to read it."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
+    low = min(low, high / 10.0)  # three numbers at least
+    axes.set_ylim(low, high)
     is_short = high < 1000.0 * low
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -89,7 +92,7 @@ def finish(axes: Axes, label: str) -> None:
 def _header(nominal: TrainedNominal, end: float, unit: str) -> list[tuple[str, float, str]]:
     last = Progress(*nominal.history[-1])
     num_steps = f"{last.num_steps / 1e6:.3g} million"
-    reading = str(last).replace("  ", ", ")
+    reading = str(Reading(last.kl, last.worst_kl, last.effective_share)).replace("  ", ", ")
     note = NOTE + ("" if np.isfinite(nominal.history).all() else FORBIDDEN)
     return [
         (f"{nominal.solver.name} after {end:.3g} {unit}, {num_steps} steps: {reading}", 11.5, INK),
