@@ -79,7 +79,7 @@ def test_the_end_of_one_whose_goal_is_no_state(evidence: Evidence) -> None:
     [
         ({"kl": 0.6}, "importance", "more than 0.5 nats from pi_0 (worst: demo_b, KL 0.60)"),
         ({"kl": 0.4}, "importance", None),
-        ({"kl": 0.4}, "plain", "equal weights take it for pi_0: use importance weights"),
+        ({"kl": 0.4}, "plain", "plain weights take it for pi_0: use importance weights"),
         ({"kl": 0.05}, "plain", None),
         ({"soft_value": 3.2}, "importance", "log Z_0 is not that of its samples (worst: demo_b, "),
         ({"soft_value": 3.08}, "importance", None),

@@ -33,7 +33,7 @@ PROPERTIES = (
 def assert_equal(a: Evidence, b: Evidence) -> None:
     assert a.problem.to_json() == b.problem.to_json()
     assert a.problem.fingerprint == b.problem.fingerprint
-    for name in ("method", "num_trajectories", "solver", "seed"):
+    for name in ("method", "num_trajectories", "solver", "seed", "sampling_beta"):
         assert getattr(a, name) == getattr(b, name)
     for part in PARTS:
         for x, y in zip(getattr(a, part), getattr(b, part), strict=True):
@@ -346,6 +346,7 @@ class TestSelectAndJoin:
             ({"num_trajectories": 7}, "different num_trajectories cannot be joined: 400 and 7"),
             ({"solver": "Grid()"}, r"different solver cannot be joined: 'Toy\(\)' and 'Grid\(\)'"),
             ({"seed": 3}, "different seed cannot be joined: 0 and 3"),
+            ({"sampling_beta": 0.25}, r"different sampling_beta cannot be joined: 0\.5 and 0\.25"),
             (
                 {"problem": make_record(beta=0.25)},
                 r"different problems cannot be joined: .* beta 0\.5, .* beta 0\.25",
@@ -364,3 +365,84 @@ class TestSelectAndJoin:
         narrow = StateSpace(SPACE.names, SPACE.angles, SPACE.bounds * [[1.0], [0.5]])
         with pytest.raises(ValueError, match="different problems"):
             a.joined(make_evidence(make_record(space=narrow, mdp_digest="0")))
+
+
+class TestAtBeta:
+    """Of evidence at beta 0.5; tests/test_temperature.py holds it against enumeration."""
+
+    @pytest.mark.parametrize("method", ["importance", "plain", "smc"])
+    def test_is_the_same_by_whatever_way(self, method: str, tmp_path: Path) -> None:
+        samples = make_samples()
+        samples = samples._replace(
+            log_correction=np.sin(samples.total_reward)
+            if method == "smc"
+            else samples.length * 0.0,
+            soft_value=np.full(3, -1.5),
+        )
+        evidence = make_evidence(make_record(), samples, method=method)
+        there = evidence.at_beta(0.8)
+        assert_equal(evidence.at_beta(2.0).at_beta(0.8), there)
+        assert there.problem.fingerprint == make_record(beta=0.8).fingerprint
+        assert there.sampling_beta == there.at_beta(0.1).sampling_beta == 0.5
+        assert np.isnan(there.soft_value).all()
+        np.testing.assert_array_equal(evidence.soft_value, -1.5)
+        back = there.at_beta(0.5)
+        np.testing.assert_array_equal(back.soft_value, -1.5)
+        np.testing.assert_array_equal(back.log_ratio, evidence.log_ratio)
+        there.save(tmp_path / "a.evidence")
+        loaded = Evidence.load(tmp_path / "a.evidence")
+        assert_equal(loaded, there)
+        assert loaded.at_beta(1).problem.fingerprint == make_record(beta=1.0).fingerprint
+        assert_equal(loaded.at_beta(1), evidence.at_beta(1.0))
+        assert_equal(evidence.select([2, 0]).at_beta(0.8), there.select([2, 0]))
+
+    @pytest.mark.parametrize("beta", [0.3, 1.5])
+    def test_weights_gain_what_theorem_2_says(self, beta: float) -> None:
+        samples = make_samples()
+        samples.total_reward[:, ::5] = -np.inf
+        gained = np.where(np.isfinite(samples.total_reward), (beta - 0.5) * samples.total_reward, 0)
+        importance = make_evidence(samples=samples)
+        plain = importance.weighted("plain")
+        np.testing.assert_allclose(
+            importance.at_beta(beta).log_weight, importance.log_weight + gained, rtol=1e-12
+        )
+        there = plain.at_beta(beta)
+        np.testing.assert_allclose(there.log_weight, plain.log_weight + gained, rtol=1e-12)
+        assert_equal(there.weighted("importance"), importance.at_beta(beta))
+        for k in range(3):
+            weight = np.exp(there.log_weight[k])
+            avoids = ~unpack(samples.violations[k], 12)
+            expected = 1.0 - weight @ avoids / weight.sum()
+            np.testing.assert_allclose(there.violation_probability[k], expected, atol=1e-12)
+            sizes = [
+                estimators.effective_sample_size(source.log_weight[k])
+                for source in (there, importance.at_beta(beta))
+            ]
+            assert there.effective_sample_size[k] == pytest.approx(min(sizes))
+        np.testing.assert_allclose(there.resolution, 1.0 / there.effective_sample_size)
+        np.testing.assert_array_equal(plain.resolution, 1.0 / 400)
+
+    def test_kl_is_from_the_policy_to_the_new_beta_and_for_plain_to_the_old(self) -> None:
+        importance, plain = (make_evidence(method=method) for method in ("importance", "plain"))
+        there = importance.at_beta(0.9)
+        expected = there.log_partition - there.importance_log_weight.mean(axis=1)
+        np.testing.assert_allclose(there.kl, expected, rtol=1e-10)
+        np.testing.assert_allclose(plain.at_beta(0.9).kl, plain.kl, rtol=1e-10)
+        np.testing.assert_array_equal(plain.at_beta(0.9).log_partition, there.log_partition)
+
+    def test_hoeffding_is_not_for_another_beta(self) -> None:
+        message = r"by 'plain' at beta 0\.5, not 0\.9: use standard_error"
+        with pytest.raises(ValueError, match=message):
+            make_evidence(method="plain").at_beta(0.9).hoeffding_error()
+
+    @pytest.mark.parametrize("beta", [0.0, -1.0, math.nan, math.inf, "2", None, True])
+    def test_what_is_no_beta_is_refused(self, beta: Any) -> None:
+        with pytest.raises(ValueError, match=f"beta: expected a finite number > 0, got {beta!r}"):
+            make_evidence().at_beta(beta)
+
+    def test_samples_are_those_that_were_weighed(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.evidence"
+        make_evidence().save(path)
+        there = Evidence.load(path).at_beta(0.8)
+        path.unlink()
+        assert_equal(there, make_evidence().at_beta(0.8))

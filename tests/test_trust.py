@@ -13,7 +13,7 @@ from routes import TASK, WALL, LatticeRoutes, Planted, routes
 from synthetic import evidence_of_columns, make_demonstration, make_evidence
 from test_smc import Guess
 
-from swerve import Problem, grid, infer, learn, sample
+from swerve import Problem, grid, infer, learn, sample, wording
 from swerve.look_ahead import LookAhead
 from swerve.solvers.grid import GridPolicy
 
@@ -178,3 +178,24 @@ def test_a_mode_that_nothing_visits_is_not_seen() -> None:
     half = dataclasses.replace(lattice, known=[WALL, lattice.hypotheses.constraint(0)])
     result = infer(sample(Planted(lattice, half), TASK, 2_000))
     assert "trusted" not in result.verdicts()
+
+
+def test_another_beta_is_named_where_it_is_the_reason() -> None:
+    evidence = make_evidence()  # at beta 0.5
+    shown = [make_demonstration()]
+    remedy = "sample at beta {0} itself: swerve.sample(nominal, tasks, beta={0})"
+    far, hot, near = (infer(evidence.at_beta(beta), shown) for beta in (9.0, 0.2, 0.6))
+    left = f"{far.evidence.effective_sample_size[0]:.0f} of 400"
+    assert far.verdict(0) == (
+        f"not to be trusted: effective sample size {left} at another beta: {remedy.format(9)}"
+    )
+    [warning] = [text for text in far.warnings if text.startswith("not to be trusted")]
+    why = "The trajectories were drawn for beta 0.5, and are weighed for"
+    assert warning.endswith(f"{left}). {why} 9: {remedy.format(9)}")
+    assert hot.evidence.effective_sample_size[0] > 200
+    assert hot.verdict(0) == f"errors may be larger than stated: {remedy.format(0.2)}"
+    [warning] = [text for text in hot.warnings if "less than half" in text]
+    assert warning.endswith(f"{why} 0.2: {remedy.format(0.2)}")
+    assert not any("drawn for" in text or "sample at" in text for text in near.warnings)
+    assert "drawn for beta 0.5" in wording.samples(near.evidence)
+    assert "drawn for" not in wording.samples(evidence)

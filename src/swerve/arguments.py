@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -20,6 +21,21 @@ def whole_number(value: Any, name: str, least: int) -> int:
         raise ValueError(f"{name}: expected a whole number >= {least}, got {value!r}")
     if number < least:
         raise ValueError(f"{name}: expected a whole number >= {least}, got {number}")
+    return number
+
+
+def positive_number(value: Any, name: str) -> float:
+    """Return a value as a float.
+
+    Raises:
+      ValueError: if it is no finite number above 0.
+    """
+    try:
+        number = math.nan if isinstance(value, str | bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not (math.isfinite(number) and number > 0.0):
+        raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
     return number
 
 

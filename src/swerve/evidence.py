@@ -20,12 +20,21 @@ from typing import Any, TypeVar
 import numpy as np
 
 from swerve import estimators, store
+from swerve.arguments import positive_number
 from swerve.problem import ProblemRecord
-from swerve.samples import EXACT, REWEIGHED, Samples, Summary, equalise, log_weights, summarise
+from swerve.samples import (
+    EXACT,
+    REWEIGHED,
+    Samples,
+    Summary,
+    log_weights,
+    summarise,
+    weights_used,
+)
 from swerve.space import Task
 
 KIND = "swerve-evidence"
-VERSION = 4
+VERSION = 5
 Fields = TypeVar("Fields", bound=tuple)
 
 MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
@@ -36,14 +45,17 @@ class Evidence:
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     Attributes:
-      problem: what was sampled.
+      problem: what the estimates are of.
       tasks: starts [K, n] and goals [K, g].
-      method: "smc", "importance", "plain" (all weights equal, the paper's estimate), or "exact":
-        then the estimates are no estimates, and the trajectories are there for pictures alone.
+      method: "smc", "importance", "plain" (the paper's estimates: all weights equal, and at
+        another beta those of its Theorem 2), or "exact": then the estimates are no estimates, and
+        the trajectories are there for pictures alone.
       num_trajectories: N a task.
       solver: the solver and its settings, for people.
       seed: of the sampling.
       summary: the estimates.
+      sampling_beta: the beta that the trajectories were drawn for; that of the problem unless
+        given.
     """
 
     problem: ProblemRecord
@@ -54,6 +66,11 @@ class Evidence:
     seed: int
     summary: Summary
     load_samples: Callable[[], Samples] = dataclasses.field(repr=False)
+    sampling_beta: float = None  # pyright: ignore[reportAssignmentType]  # set below
+
+    def __post_init__(self) -> None:
+        if self.sampling_beta is None:
+            object.__setattr__(self, "sampling_beta", self.problem.beta)
 
     @cached_property
     def samples(self) -> Samples:
@@ -71,6 +88,11 @@ class Evidence:
         return self.method == EXACT
 
     @property
+    def is_of_other_beta(self) -> bool:
+        """Whether the trajectories were drawn for another beta than they are weighed for."""
+        return self.sampling_beta != self.problem.beta
+
+    @property
     def violation_probability(self) -> np.ndarray:
         """[K, H] probability that a nominal trajectory enters each hypothesis, 1 - Z_c / Z_0."""
         return 1.0 - self.summary.avoid_probability
@@ -83,7 +105,7 @@ class Evidence:
         """
         if self.is_exact:
             return np.zeros(self.num_tasks)
-        if self.method == "plain":
+        if self._weighs_alike:
             return np.full(self.num_tasks, 1.0 / self.num_trajectories)
         return 1.0 / self.effective_sample_size
 
@@ -126,20 +148,23 @@ class Evidence:
     def kl(self) -> np.ndarray:
         """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
 
-        For "smc" it is KL(pi_0 || pi), since its trajectories are those of pi_0.
+        For "smc" it is KL(pi_0 || pi), since its trajectories are those of pi_0. After `at_beta`
+        pi is still the policy that drew them and pi_0 that of the new beta, which it was not made
+        for; for "plain" it stays that of `sampling_beta`, which its weights take pi for.
         """
         return self.summary.kl
 
     @property
     def soft_value(self) -> np.ndarray:
-        """[K] log Z_0 by the solver's own soft value, nats; NaN where it has none."""
+        """[K] log Z_0 by the solver's own soft value, nats; NaN without one of this beta."""
         return self.summary.soft_value
 
     @property
     def effective_sample_size(self) -> np.ndarray:
         """[K] effective sample size of the importance weights, whatever the method.
 
-        With method "plain" all N are weighed alike, and this says how far they can be trusted.
+        With method "plain" all N are weighed alike, and this says how far they can be trusted; at
+        another beta than they were drawn for, it is that of its own weights where that is less.
         """
         return self.summary.effective_sample_size
 
@@ -163,9 +188,8 @@ class Evidence:
 
     @cached_property
     def log_weight(self) -> np.ndarray:
-        """[K, N] log-weights l that `method` uses, nats; all 0 for "plain"."""
-        log_weight = self.importance_log_weight
-        return equalise(log_weight) if self.method == "plain" else log_weight
+        """[K, N] log-weights that `method` uses, nats; for "plain" (beta - sampling_beta) R."""
+        return weights_used(self.problem, self.samples, self.method, self.sampling_beta)
 
     @property
     def importance_log_weight(self) -> np.ndarray:
@@ -180,12 +204,19 @@ class Evidence:
         Raises:
           ValueError: if the weights are not equal.
         """
-        if self.method != "plain":
+        if not self._weighs_alike:
+            made = f"by {self.method!r}"
+            if self.is_of_other_beta:
+                made += f" at beta {self.sampling_beta:g}, not {self.problem.beta:g}"
             raise ValueError(
                 f"Hoeffding's bound needs equal weights (method 'plain'), this evidence was made "
-                f"by {self.method!r}: use standard_error"
+                f"{made}: use standard_error"
             )
         return estimators.hoeffding_error(self.num_trajectories, confidence)
+
+    @property
+    def _weighs_alike(self) -> bool:
+        return self.method == "plain" and not self.is_of_other_beta
 
     def find(self, task: Task) -> int | None:
         """Return the index of the task with the same start and goal, or None.
@@ -243,17 +274,48 @@ class Evidence:
                 f"method: trajectories drawn by {self.method!r} cannot be weighed by {method!r}: "
                 "sample anew"
             )
-        summary = summarise(self.problem, self.samples, method)
+        summary = summarise(self.problem, self.samples, method, self.sampling_beta)
         return dataclasses.replace(self, method=method, summary=summary)
+
+    def at_beta(self, beta: float) -> Evidence:
+        """Return the same trajectories weighed for a demonstrator of another inverse temperature.
+
+        A trajectory's log-weight gains (beta - beta of this evidence) R(xi), whatever the method
+        (the paper, Theorem 2). The further beta is from `sampling_beta`, the fewer trajectories are
+        left by weight: `infer` says so where they are too few. Whole trajectories kept for
+        pictures remain those of `sampling_beta`, and so does the solver's soft value, which is left
+        out.
+
+        Args:
+          beta: nats per unit of reward.
+
+        Raises:
+          ValueError: if beta is no finite number above 0, or the evidence is exact.
+        """
+        beta = positive_number(beta, "beta")
+        if self.is_exact:
+            raise ValueError(
+                f"at_beta: exact answers hold for their beta, {self.problem.beta:g}, alone and "
+                f"have no samples to weigh anew: solve the problem again at beta {beta:g}"
+            )
+        problem = dataclasses.replace(self.problem, beta=beta)
+        samples = self.samples
+        return dataclasses.replace(
+            self,
+            problem=problem,
+            summary=summarise(problem, samples, self.method, self.sampling_beta),
+            load_samples=lambda: samples,
+        )
 
     def joined(self, *others: Evidence) -> Evidence:
         """Return evidence for the tasks of this and others, in that order.
 
         Raises:
-          ValueError: if they differ in problem, method, solver, seed or number of trajectories.
+          ValueError: if they differ in problem, method, solver, seed, number of trajectories or the
+            beta that these were drawn for.
         """
         for other in others:
-            for field in ("method", "num_trajectories", "solver", "seed"):
+            for field in ("method", "num_trajectories", "solver", "seed", "sampling_beta"):
                 if getattr(self, field) != getattr(other, field):
                     raise ValueError(
                         f"evidence of different {field} cannot be joined: "
@@ -280,6 +342,7 @@ class Evidence:
             "num_trajectories": self.num_trajectories,
             "solver": self.solver,
             "seed": self.seed,
+            "sampling_beta": self.sampling_beta,
         }
         parts = {"tasks": self.tasks, "summary": self.summary, "samples": self.samples}
         arrays = {
@@ -310,6 +373,7 @@ class Evidence:
             seed=stored.header["seed"],
             summary=read(Summary, "summary"),
             load_samples=lambda: read(Samples, "samples"),
+            sampling_beta=stored.header["sampling_beta"],
         )
 
 

@@ -23,7 +23,7 @@ from swerve import plots, store, wording
 from swerve.boxes import interval_name
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
-from swerve.trust import LOW_ESS, LOW_ESS_SHARE
+from swerve.trust import least_effective
 
 MAX_HYPOTHESES = 50  # rows of the ranking
 MAX_TASKS = 100  # rows of the diagnostics
@@ -215,7 +215,7 @@ def _tasks(inference: Inference) -> str:
     shown, ess = used, evidence.effective_sample_size
     if len(used) > MAX_TASKS:
         shown = np.sort(used[np.argsort(ess[used], kind="stable")[:MAX_TASKS]])
-    low = max(LOW_ESS, LOW_ESS_SHARE * evidence.num_trajectories)
+    low = least_effective(evidence.num_trajectories)
     rows = []
     for task in shown.tolist():
         cells = (

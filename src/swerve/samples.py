@@ -52,7 +52,8 @@ class Samples(NamedTuple):
       ancestor: [K, N] which of the N trajectories at the start each comes from.
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
       kept: [K, M, T+1, n] a few whole trajectories, drawn by weight, for pictures.
-      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none.
+      soft_value: [K] log Z_0 by the solver's own soft value at the beta that they were drawn for,
+        nats; NaN where it has none.
     """
 
     total_reward: np.ndarray
@@ -73,12 +74,14 @@ class Summary(NamedTuple):
       avoid_variance: [K, H] its sampling variance.
       log_ratio: [K, H] its log, nats, which exact answers know where the ratio is no number.
       log_partition: [K] log Z_0, nats.
-      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" KL(pi_0 || pi).
-      effective_sample_size: [K] of the weights, whatever the method; first those of trajectories
-        that come from the same one at the start are added.
+      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" KL(pi_0 || pi). pi_0 is that
+        of the problem's beta, but for "plain" that of the beta drawn for, which it takes pi for.
+      effective_sample_size: [K] of the weights in full, and for "plain" of its own where that is
+        less; first those of trajectories that come from the same one at the start are added.
       distinct_share: [K] share of the trajectories at the start that any comes from.
       island_log_partition: [K, I] log Z_0 by each island alone, nats.
-      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none.
+      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none, or only
+        that of another beta.
       end: [K, n] the middle of the box of states where the trajectories kept end.
       end_reach: [K, n] half the sides of that box.
       shortest: [K] duration of the shortest trajectory [s].
@@ -100,12 +103,23 @@ class Summary(NamedTuple):
     fastest: np.ndarray
 
 
-def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
-    """Estimate what inference needs from sampled trajectories of K tasks."""
+def summarise(
+    problem: ProblemRecord, samples: Samples, method: str, sampling_beta: float | None = None
+) -> Summary:
+    """Estimate what inference needs from sampled trajectories of K tasks.
+
+    Args:
+      problem: whose pi_0 is asked for.
+      samples: the trajectories.
+      method: by which they are weighed.
+      sampling_beta: the beta that they were drawn for; that of the problem if None.
+    """
     rows = []
+    sampling_beta = problem.beta if sampling_beta is None else sampling_beta
     drawn_by = log_weights(problem, samples)
+    used_by = weights_used(problem, samples, method, sampling_beta)
     for k, log_weight in enumerate(drawn_by + samples.log_correction):
-        used = equalise(log_weight) if method == "plain" else log_weight
+        used = used_by[k]
         log_partition = estimators.log_partition(log_weight)
         kept, ancestor = samples.kept[k], samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
@@ -113,17 +127,18 @@ def summarise(problem: ProblemRecord, samples: Samples, method: str) -> Summary:
         if method == "smc":
             kl = float(estimators.normalise(log_weight) @ _finite(drawn_by[k])) - log_partition
         else:
-            kl = estimators.kl_divergence(log_weight, log_partition)
+            assumed = _finite(used) if method == "plain" else 0.0
+            kl = _kl_divergence(log_weight - assumed)
         rows.append(
             (
                 *estimate,
                 _log(estimate.avoid_probability),
                 log_partition,
                 kl,
-                estimators.effective_sample_size(log_weight, ancestor),
+                min(estimators.effective_sample_size(x, ancestor) for x in (log_weight, used)),
                 len(np.unique(ancestor)) / len(ancestor),
                 [_log_mean(log_weight[island]) for island in islands(len(log_weight))],
-                samples.soft_value[k],
+                samples.soft_value[k] if sampling_beta == problem.beta else np.nan,
                 *_end_box(problem, kept[:, -1]),
                 samples.length[k][np.isfinite(log_weight)].min() * problem.dt,
                 speed.max(axis=(0, 1)),
@@ -157,6 +172,11 @@ def _log_mean(log_weight: np.ndarray) -> float:
     return float(np.logaddexp.reduce(log_weight)) - float(np.log(len(log_weight)))
 
 
+def _kl_divergence(log_weight: np.ndarray) -> float:
+    """Return KL(pi || pi_0) by the log Z_0 that the same weights [N] estimate, nats."""
+    return estimators.kl_divergence(log_weight, estimators.log_partition(log_weight))
+
+
 def _finite(values: np.ndarray) -> np.ndarray:
     """Return values with 0 for those of no weight."""
     return np.where(np.isfinite(values), values, 0.0)
@@ -187,6 +207,16 @@ def log_weights(problem: ProblemRecord, sampled: Sampled) -> np.ndarray:
     )
 
 
-def equalise(log_weight: np.ndarray) -> np.ndarray:
-    """Return 0 where a trajectory is allowed, -inf where it entered a known constraint."""
-    return np.where(np.isfinite(log_weight), 0.0, -np.inf)
+def weights_used(
+    problem: ProblemRecord, samples: Samples, method: str, sampling_beta: float
+) -> np.ndarray:
+    """Return the log-weights [K, N] that a method uses, nats.
+
+    Those in full, but for "plain": it takes the policy for pi_0 at the beta that the trajectories
+    were drawn for, which leaves (beta - sampling_beta) R (the paper, Theorem 2).
+    """
+    if method != "plain":
+        return log_weights(problem, samples) + samples.log_correction
+    allowed = np.isfinite(samples.total_reward)
+    shift = (problem.beta - sampling_beta) * np.where(allowed, samples.total_reward, 0.0)
+    return np.where(allowed, shift, -np.inf)

@@ -20,18 +20,25 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from swerve.evidence import Evidence
 from swerve.inference import TIE_ERRORS, Inference
 
 LOW_ESS_SHARE = 0.02
 LOW_ESS = 100.0
 HIGH_KL = {"smc": math.inf, "importance": 0.5, "plain": 0.1}  # nats, between policy and pi_0
 HIGH_SPREAD = 1.0  # nats: standard deviation of log Z_0 between islands
+HOTTEST = 0.5  # of the beta drawn for: below it, weights of a Gaussian would have no variance
 VALUE_GAP = {"Grid(": 0.1, "SoftValue(": 1.0}  # nats, between a solver's log Z_0 and its samples'
 NUM_ERRORS = 3.0  # standard errors on top
 GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 NUM_SETTLED = 3  # first hypotheses whose order is to be told
 MOST_SAMPLES = 10_000_000  # beyond, sampling will not tell
 NUM_NAMES = 3  # demonstrations named in a warning
+
+
+def least_effective(num_trajectories: int) -> float:
+    """Return the least effective sample size to be trusted, of N trajectories."""
+    return max(LOW_ESS, LOW_ESS_SHARE * num_trajectories)
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -45,6 +52,7 @@ def warnings(inference: Inference) -> Iterator[str]:
     """Yield what speaks against the samples, each kind once."""
     yield from _too_few(inference)
     yield from _apart(inference)
+    yield from _too_hot(inference)
     yield from _far_policy(inference)
     yield from _wrong_value(inference)
     yield from _floored(inference)
@@ -57,10 +65,13 @@ def verdict(inference: Inference, task: int) -> str:
         return "exact"
     if _has_too_few(inference)[task]:
         left = f"{evidence.effective_sample_size[task]:.0f} of {evidence.num_trajectories}"
-        return f"not to be trusted: effective sample size {left}"
+        other = f" at another beta: {_at_its_beta(evidence)}" if evidence.is_of_other_beta else ""
+        return f"not to be trusted: effective sample size {left}{other}"
     if _is_apart(inference)[task]:
         spread = evidence.island_spread[task]
         return f"not to be trusted: parts of its samples differ by {spread:.1f} nats in log Z_0"
+    if is_too_hot(evidence):
+        return f"errors may be larger than stated: {_at_its_beta(evidence)}"
     if _is_far(inference)[task]:
         return f"errors may be larger than stated: KL {evidence.kl[task]:.2f} nats"
     if (_value_gap(inference) > 0.0)[task]:
@@ -110,9 +121,18 @@ def _round_up(number: float) -> int:
     return unit * math.ceil(number / unit)
 
 
+def is_too_hot(evidence: Evidence) -> bool:
+    """Return whether beta is so far below the one drawn for that weights cannot be believed.
+
+    What is common at a low beta may be too rare at a high one to be drawn at all, which leaves no
+    trace in the effective sample size.
+    """
+    return evidence.problem.beta < HOTTEST * evidence.sampling_beta
+
+
 def _has_too_few(inference: Inference) -> np.ndarray:
     """Return [K] whether a task that is used has too few effective samples."""
-    least = max(LOW_ESS, LOW_ESS_SHARE * inference.evidence.num_trajectories)
+    least = least_effective(inference.evidence.num_trajectories)
     return (inference.evidence.effective_sample_size < least) & (inference.task_counts > 0)
 
 
@@ -152,7 +172,7 @@ def _too_few(inference: Inference) -> Iterator[str]:
         yield (
             f"not to be trusted: the effective sample size is too low for {low.sum()} of "
             f"{np.count_nonzero(used)} tasks (worst: {inference.task_name(worst)}, "
-            f"{ess[worst]:.0f} of {num}). {_remedy(ess[worst] / num, evidence.solver)}"
+            f"{ess[worst]:.0f} of {num}). {_remedy(evidence, ess[worst] / num)}"
         )
 
 
@@ -164,7 +184,15 @@ def _apart(inference: Inference) -> Iterator[str]:
             f"not to be trusted: for {apart.sum()} of {np.count_nonzero(inference.task_counts)} "
             "tasks independent parts of the samples disagree on log Z_0 (worst: "
             f"{inference.task_name(worst)}, by {evidence.island_spread[worst]:.1f} nats). "
-            f"{_remedy(0.0, evidence.solver)}"
+            f"{_remedy(evidence)}"
+        )
+
+
+def _too_hot(inference: Inference) -> Iterator[str]:
+    if is_too_hot(inference.evidence):
+        yield (
+            "errors may be larger than stated: what is common at a beta less than half of that "
+            f"drawn for may be missing from the samples. {_remedy(inference.evidence)}"
         )
 
 
@@ -175,12 +203,12 @@ def _far_policy(inference: Inference) -> Iterator[str]:
         worst = int(np.where(far, evidence.kl, 0.0).argmax())
         cause = "what it hardly ever does may be missing from them"
         if evidence.method == "plain":
-            cause = "equal weights take it for pi_0: use importance weights"
+            cause = "plain weights take it for pi_0: use importance weights"
         yield (
             f"errors may be larger than stated: for {far.sum()} of "
             f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
             f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {inference.task_name(worst)}, KL "
-            f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(0.0, evidence.solver)}"
+            f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(evidence)}"
         )
 
 
@@ -194,15 +222,25 @@ def _wrong_value(inference: Inference) -> Iterator[str]:
             f"{np.count_nonzero(inference.task_counts)} tasks the solver's log Z_0 is not that of "
             f"its samples (worst: {inference.task_name(worst)}, "
             f"{evidence.soft_value[worst]:.2f} and {evidence.log_partition[worst]:.2f} nats). "
-            f"{_remedy(0.0, evidence.solver)}"
+            f"{_remedy(evidence)}"
         )
 
 
-def _remedy(share: float, solver: str) -> str:
+def _at_its_beta(evidence: Evidence) -> str:
+    beta = f"{evidence.problem.beta:g}"
+    return f"sample at beta {beta} itself: swerve.sample(nominal, tasks, beta={beta})"
+
+
+def _remedy(evidence: Evidence, share: float = 0.0) -> str:
     """Return what to do about an effective sample size that is this share of N."""
+    if evidence.is_of_other_beta:
+        return (
+            f"The trajectories were drawn for beta {evidence.sampling_beta:g}, and are weighed for "
+            f"{evidence.problem.beta:g}: {_at_its_beta(evidence)}"
+        )
     if share > GOOD_ESS_SHARE:
         return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
-    if solver.startswith("Grid("):
+    if evidence.solver.startswith("Grid("):
         return "The grid is too coarse for this problem: give it more num_points"
     return (
         "The policy is far from pi_0: train it longer, or use the grid solver where the state "

@@ -82,8 +82,9 @@ def samples(evidence: Evidence) -> str:
     """Return where the numbers come from."""
     if evidence.is_exact:
         return f"exact answers from {evidence.solver}"
+    drawn = f", drawn for beta {evidence.sampling_beta:g}" if evidence.is_of_other_beta else ""
     return (
-        f"{evidence.num_trajectories:,} trajectories a task from {evidence.solver}, "
+        f"{evidence.num_trajectories:,} trajectories a task from {evidence.solver}{drawn}, "
         f"{_METHODS[evidence.method]}, seed {evidence.seed}"
     )
 
