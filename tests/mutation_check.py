@@ -208,9 +208,23 @@ MUTANTS = (
     Mutant(
         "weigh all trajectories alike where weights are asked for",
         "samples.py",
-        'used = equalise(log_weight) if method == "plain" else log_weight',
-        "used = equalise(log_weight)",
+        'if method != "plain":',
+        "if False:",
         "test_evidence",
+    ),
+    Mutant(
+        "keep equal weights equal at another beta",
+        "samples.py",
+        "shift = (problem.beta - sampling_beta) * np.where(",
+        "shift = 0.0 * np.where(",
+        "test_evidence -k theorem_2",
+    ),
+    Mutant(
+        "fit beta as if each task had one demonstration",
+        "temperature.py",
+        "float(self.earned - counts @ mean[:, 0]),",
+        "float(self.earned - mean.sum()),",
+        "test_temperature -k score",
     ),
 )
 

@@ -130,6 +130,24 @@ def test_works_without_a_work_folder(robot: str, run: Run, demonstrations: list[
     assert "hypothesis" in out
 
 
+def test_fit_beta(robot: str, run: Run, demonstrations: list[Path], tmp_path: Path) -> None:
+    """With what `infer` has sampled; the demonstrators' beta is 0.05, the problem's."""
+    assert run(*infer(robot, demonstrations, tmp_path / "work", "--solver", SOLVER))[0] == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "work").iterdir()}
+    _, *arguments = infer(robot, demonstrations, tmp_path / "work")
+    status, out, _ = run("fit-beta", *arguments, "--json")
+    assert status == 0
+    answer = json.loads(out)
+    assert answer["low"] < 0.05 < (answer["high"] or np.inf)
+    status, out, _ = run("fit-beta", *arguments, "--confidence", 0.5)
+    assert status == 0
+    assert out.startswith("beta ")
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "work").iterdir()} == before
+    status, _, said = run("fit-beta", robot)
+    assert status == 1
+    assert "give at least one demonstration" in said
+
+
 class TestBadInput:
     def test_missing_column(self, run: Run, tmp_path: Path) -> None:
         (tmp_path / "x.csv").write_text("t,theta\n0,1\n1,2\n")

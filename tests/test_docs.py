@@ -31,7 +31,7 @@ def test_readme_and_how_to_run(
     names["evidence"].save("work/grid.seed0.importance.10000.evidence")
     for block in python_blocks(ROOT / "docs" / "how-to.md"):
         exec(compile(block, "how-to.md", "exec", dont_inherit=True), names)
-    assert capsys.readouterr().out.count("rank") == 2
+    assert capsys.readouterr().out.count("rank") == 3
 
 
 def test_links_lead_somewhere() -> None:

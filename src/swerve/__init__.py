@@ -40,11 +40,13 @@ if TYPE_CHECKING:
     from swerve.systems.gridworld import Gridworld
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
+    from swerve.temperature import BetaFit, fit_beta
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "ActionBox": "boxes",
+    "BetaFit": "temperature",
     "Box": "boxes",
     "Car": "systems.car",
     "Constraint": "constraints",
@@ -72,6 +74,7 @@ _HOMES = {
     "Union": "constraints",
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "selection",
+    "fit_beta": "temperature",
     "greedy": "selection",
     "grid": "hypotheses",
     "hoeffding_error": "estimators",
@@ -93,6 +96,7 @@ __all__ = [
     "MDP",
     "PPO",
     "ActionBox",
+    "BetaFit",
     "Box",
     "Car",
     "Constraint",
@@ -118,6 +122,7 @@ __all__ = [
     "Union",
     "demonstrate",
     "divergence",
+    "fit_beta",
     "greedy",
     "grid",
     "hoeffding_error",

@@ -109,6 +109,40 @@ def infer(
 
 
 @app.command
+def fit_beta(
+    problem: Problem,
+    /,
+    *demonstrations: Path,
+    tasks: Tasks = None,
+    solver: SolverName = None,
+    samples: Samples = None,
+    method: Method = None,
+    confidence: float = 0.95,
+    seed: Seed = None,
+    work: WorkFolder = None,
+    as_json: AsJson = False,
+) -> None:
+    """Estimate beta, how strictly demonstrators follow the reward, by maximum likelihood.
+
+    The demonstrations must be ones that no constraint but the known ones held back. Learns and
+    samples whatever the work folder does not hold yet, at the problem's own beta.
+
+    Args:
+      demonstrations: CSV or Parquet files with the states and the actions.
+      confidence: Of the interval.
+    """
+    job = _work(problem, work, solver, seed, method, samples)
+    found = _read(job, demonstrations, tasks)
+    if not found:
+        raise ValueError("give at least one demonstration: beta is estimated from them")
+    evidence = job.evidence(_asked_tasks(job, found, tasks))
+    for warning in swerve.infer(evidence, found).warnings:
+        _say(f"warning: {warning}")
+    fit = swerve.fit_beta(job.problem, evidence, found, confidence)
+    print(json.dumps(fit.to_json()) if as_json else fit)
+
+
+@app.command
 def learn(
     problem: Problem,
     /,

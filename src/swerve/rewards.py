@@ -1,9 +1,13 @@
 """What a demonstration earned: R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L).
 
-Shapes: L states of a demonstration, n state dimensions, m action dimensions.
+Shapes: M demonstrations, L states of one, n state dimensions, m action dimensions.
 """
 
 from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -12,8 +16,36 @@ import numpy as np
 
 from swerve.demonstrations import Demonstration
 from swerve.mdp import MDP
-from swerve.state_checks import check_horizon, check_transitions
+from swerve.problem import Problem
+from swerve.state_checks import check_finite, check_horizon, check_transitions, row_namer
 from swerve.systems.tabular import TabularMDP
+
+ON_TIME = 1e-3  # of a step: rows as close to the MDP's time steps as this are not resampled
+
+
+def total_rewards(problem: Problem, demonstrations: Sequence[Demonstration]) -> np.ndarray:
+    """Return what demonstrations earned [M], R_i, by the rewards of the MDP at its time step.
+
+    One with times that are not the MDP's is resampled: states change linearly between rows, angles
+    along their shorter arc, and an action is held until the next. The last state is kept, in as
+    many steps as come nearest to the time it took. What comes after the end of the episode does
+    not count. Without times, rows are taken to be steps.
+
+    Raises:
+      ValueError: if a demonstration lacks actions, takes more steps than the horizon, or what it
+        earned is not finite.
+    """
+    mdp, earned = problem.mdp, []
+    for demonstration in demonstrations:
+        is_stepped = isinstance(mdp, TabularMDP)
+        steps = demonstration if is_stepped else _until_end(mdp, _at_steps(mdp, demonstration))
+        earned.append(total_reward(mdp, steps, taken_actions(mdp, steps)))
+        if not math.isfinite(earned[-1]):
+            raise ValueError(
+                f"{steps.name}: expected a finite total reward, got {earned[-1]}: correct the "
+                "demonstration, or the rewards of the MDP"
+            )
+    return np.array(earned)
 
 
 def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
@@ -29,12 +61,15 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
     if isinstance(mdp, TabularMDP):
         return _tabular_actions(mdp, demonstration)
     check_horizon(len(states) - 1, mdp.num_steps, name)
-    if actions is None:
+    if actions is None or actions.shape[1] != len(mdp.action_names):
         raise ValueError(
-            f"{name}: expected actions {', '.join(mdp.action_names)}, got none: what a "
-            "demonstration earned depends on them"
+            f"{name}: expected actions {', '.join(mdp.action_names)}, got "
+            f"{'none' if actions is None else f'{actions.shape[1]} of them'}: what a demonstration "
+            "earned depends on them"
         )
-    return actions[: len(states) - 1]
+    actions = actions[: len(states) - 1]
+    check_finite(actions, mdp.action_names, row_namer(name, None))
+    return actions
 
 
 def _tabular_actions(mdp: TabularMDP, demonstration: Demonstration) -> np.ndarray:
@@ -89,6 +124,45 @@ def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) ->
     path, taken = jnp.asarray(states, jnp.float32), jnp.asarray(actions, jnp.float32)
     steps = jax.vmap(mdp.reward, (0, 0, 0, None))(path[:-1], taken, path[1:], goal)
     return float(np.asarray(steps, float).sum()) + end
+
+
+def _at_steps(mdp: MDP, demonstration: Demonstration) -> Demonstration:
+    """Return a demonstration with a row for each time step of the MDP; see `total_rewards`."""
+    if demonstration.times is None:
+        return demonstration
+    states, elapsed = demonstration.states, demonstration.times - demonstration.times[0]
+    wanted = mdp.dt * np.arange(max(1, round(elapsed[-1] / mdp.dt)) + 1)
+    wanted[-1] = elapsed[-1]
+    if len(wanted) == len(elapsed) and np.abs(wanted - elapsed).max() < ON_TIME * mdp.dt:
+        return demonstration
+    changes = mdp.space.difference(states[:-1], states[1:])
+    path = states[0] + np.concatenate([np.zeros_like(states[:1]), changes.cumsum(axis=0)])
+    columns = [np.interp(wanted, elapsed, column) for column in path.T]
+    actions = demonstration.actions
+    if actions is not None:
+        begun = np.searchsorted(elapsed, wanted[:-1] + ON_TIME * mdp.dt, side="right") - 1
+        actions = actions[np.minimum(begun, len(states) - 2)]
+    return dataclasses.replace(
+        demonstration, states=np.stack(columns, axis=1), times=wanted, actions=actions
+    )
+
+
+def _until_end(mdp: MDP, demonstration: Demonstration) -> Demonstration:
+    """Return a demonstration without what comes after the end of its episode."""
+    states, goal = (
+        jnp.asarray(x, jnp.float32) for x in (demonstration.states, demonstration.task.goal)
+    )
+    ended = np.asarray(jax.vmap(mdp.terminated, (0, None))(states[1:], goal))
+    if not ended.any():
+        return demonstration
+    length = int(ended.argmax()) + 1
+    actions = demonstration.actions
+    return dataclasses.replace(
+        demonstration,
+        states=demonstration.states[: length + 1],
+        times=None,
+        actions=None if actions is None else actions[:length],
+    )
 
 
 def _only_way(fits: np.ndarray, demonstration: Demonstration) -> np.ndarray:

@@ -1,0 +1,400 @@
+"""Another beta than the one sampled at: weighed for it, and fitted to demonstrations."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from reference import CART_TASK, PENDULUM_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
+from routes import TASK, LatticeRoutes, Routes, routes
+from test_smc import Guessed
+
+from swerve import (
+    BetaFit,
+    Box,
+    Demonstration,
+    Evidence,
+    Nominal,
+    Problem,
+    Task,
+    demonstrate,
+    fit_beta,
+    infer,
+    learn,
+    sample,
+)
+from swerve.rewards import total_rewards
+from swerve.temperature import Likelihood
+
+STANDARD_ERRORS = 4.0
+OF_ISLANDS = 5.1  # as unlikely, of Student's t with 19 degrees of freedom, as 4 of a normal
+GRID = "grid?num_points=81"
+FAR = Box(x=(50.0, 60.0))  # no constraint at all
+WALL = Box(x=(0.2, 0.5), v=(-2.0, -0.6))
+PROBLEMS = {
+    "pendulum": (short_pendulum(beta=0.15), PENDULUM_TASK),
+    "ends-early": (short_cart(beta=2.0), CART_TASK),
+    "counting": (short_cart(beta=2.0, measure="counting"), CART_TASK),
+    "known": (short_cart(beta=2.0, known=[WALL]), CART_TASK),
+}
+CART = short_cart(beta=2.0)
+OTHER_TASK = Task(np.array([-0.4, 0.5]), np.array([0.7, 0.0]))
+
+
+def cooled(problem: Problem, beta: float) -> Problem:
+    return dataclasses.replace(problem, beta=beta)
+
+
+@cache
+def exact(name: str, beta: float) -> Exact:
+    problem, task = PROBLEMS[name]
+    return enumerate_exactly(cooled(problem, beta), *task)
+
+
+@cache
+def nominal(beta: float) -> Nominal:
+    return learn(cooled(CART, beta), GRID)
+
+
+@cache
+def sampled(beta: float = 2.0, num: int = 4_000, seed: int = 0) -> Evidence:
+    """Evidence of two tasks of the cart."""
+    return sample(nominal(beta), [CART_TASK, OTHER_TASK], num, seed=seed)
+
+
+@cache
+def shown(beta: float = 2.0, num: int = 240, task: int = 0, seed: int = 0) -> list[Demonstration]:
+    """What demonstrators of one of the tasks do whom nothing holds back."""
+    start, goal = (CART_TASK, OTHER_TASK)[task]
+    tasks = Task(np.repeat(start[None], num, axis=0), np.repeat(goal[None], num, axis=0))
+    return demonstrate(cooled(CART, beta), FAR, tasks, solver=GRID, seed=seed)
+
+
+@cache
+def of_two_tasks() -> Likelihood:
+    """Log L of three demonstrations of one task and five of another."""
+    evidence = sampled(num=20_000)
+    made = [*shown()[:3], *shown(num=5, task=1)]
+    task_of = infer(evidence, made).task_of
+    np.testing.assert_array_equal(task_of, [0, 0, 0, 1, 1, 1, 1, 1])
+    return Likelihood.of(evidence, task_of, total_rewards(CART, made))
+
+
+def assert_within_errors(evidence: Evidence, truth: Exact, before: Exact) -> None:
+    """The answer is that of the new beta, and not that of the old one."""
+    most = OF_ISLANDS if evidence.method == "smc" else STANDARD_ERRORS
+    error = np.sqrt(evidence.summary.avoid_variance[0]) + 1.0 / evidence.effective_sample_size[0]
+    found = evidence.violation_probability[0]
+    off, moved = (np.abs(found - x.violation_probability) / error for x in (truth, before))
+    is_open = (truth.violation_probability > 0.02) & (truth.violation_probability < 0.98)
+    assert np.count_nonzero(is_open) >= 3
+    assert off[is_open].max() < most
+    assert moved[is_open].max() > 1.5 * most
+    np.testing.assert_allclose(found, truth.violation_probability, atol=0.05)
+    islands = evidence.island_log_partition[0]
+    spread = islands.std() / math.sqrt(len(islands) - 1)
+    assert spread < 0.1
+    assert evidence.log_partition[0] == pytest.approx(
+        truth.log_partition, abs=OF_ISLANDS * spread + 1e-3
+    )
+
+
+class TestEvidenceAtAnotherBeta:
+    @pytest.mark.parametrize(
+        ("method", "factor"),
+        [("importance", 0.75), ("importance", 2.0), ("plain", 0.75), ("plain", 2.0), ("smc", 3.0)],
+    )
+    @pytest.mark.parametrize("name", PROBLEMS)
+    def test_agrees_with_enumeration(self, name: str, method: str, factor: float) -> None:
+        problem, task = PROBLEMS[name]
+        source = learn(problem, GRID)
+        if method == "smc":  # by a bad value, such that there is something to resample
+            source = Guessed(problem, -0.4 if name == "pendulum" else 0.1)
+        evidence = sample(source, task, 20_000, method=method)
+        assert method != "smc" or evidence.distinct_share[0] < 0.9
+        beta = factor * problem.beta
+        assert_within_errors(evidence.at_beta(beta), exact(name, beta), exact(name, problem.beta))
+
+    def test_is_evidence_of_the_problem_at_that_beta(self) -> None:
+        evidence = sampled().at_beta(np.float32(3))  # pyright: ignore[reportArgumentType]
+        assert evidence.problem.fingerprint == cooled(CART, 3.0).record.fingerprint
+        assert evidence.sampling_beta == 2.0
+        assert "beta 3" in infer(evidence).evidence.problem.summary
+
+    def test_exact_answers_are_refused(self) -> None:
+        evidence = sample(learn(routes(LatticeRoutes(toll=1.0))), TASK)
+        with pytest.raises(ValueError, match=r"for their beta, 1, alone .* again at beta 0\.5"):
+            evidence.at_beta(0.5)
+
+
+class TestLikelihood:
+    @pytest.fixture
+    def likelihood(self) -> Likelihood:
+        return of_two_tasks()
+
+    @pytest.mark.parametrize("beta", [1.0, 2.0, 3.5])
+    def test_score_is_the_derivative_of_what_enumeration_says(
+        self, likelihood: Likelihood, beta: float
+    ) -> None:
+        def log_likelihood(beta: float) -> float:
+            problem = cooled(CART, beta)
+            parts = [enumerate_exactly(problem, *task) for task in (CART_TASK, OTHER_TASK)]
+            return beta * likelihood.earned - sum(
+                num * part.log_partition for num, part in zip((3, 5), parts, strict=True)
+            )
+
+        step = 0.02
+        below, here, above = (log_likelihood(beta + step * k) for k in (-1, 0, 1))
+        point = likelihood.at(beta)
+        assert point.score_error < 0.2
+        assert point.score == pytest.approx(
+            (above - below) / (2 * step), abs=STANDARD_ERRORS * point.score_error
+        )
+        assert point.value == pytest.approx(here, abs=0.1)
+        assert point.curvature == pytest.approx((2 * here - above - below) / step**2, rel=0.1)
+
+    def test_is_concave_and_its_parts_agree(self, likelihood: Likelihood) -> None:
+        betas = np.linspace(0.0, 8.0, 81)
+        points = [likelihood.at(beta) for beta in betas]
+        value, score = (np.array([getattr(p, name) for p in points]) for name in ("value", "score"))
+        assert (np.diff(score) < 0.0).all()
+        np.testing.assert_allclose(np.gradient(value, betas)[1:-1], score[1:-1], atol=0.05)
+        curvature = [point.curvature for point in points[1:-1]]
+        np.testing.assert_allclose(-np.gradient(score, betas)[1:-1], curvature, rtol=0.02)
+
+    def test_is_the_same_whatever_beta_the_evidence_is_weighed_for(
+        self, likelihood: Likelihood
+    ) -> None:
+        evidence = sampled(num=20_000).at_beta(5.0)
+        task_of = np.repeat([0, 1], [3, 5])
+        other = Likelihood.of(evidence, task_of, np.array([likelihood.earned] + [0.0] * 7))
+        a, b = likelihood.at(1.2), other.at(1.2)
+        assert b.score == pytest.approx(a.score, rel=1e-9)
+        assert b.value == pytest.approx(a.value, rel=1e-9)
+        np.testing.assert_allclose(b.effective_sample_size, a.effective_sample_size)
+
+    def test_effective_samples_are_those_of_evidence(self, likelihood: Likelihood) -> None:
+        for evidence in (
+            sampled(num=20_000),
+            sample(Guessed(CART, 0.1), [CART_TASK, OTHER_TASK], 2_000, method="smc"),
+        ):
+            found = Likelihood.of(evidence, np.array([0, 1]), np.zeros(2)).at(3.0)
+            np.testing.assert_allclose(
+                found.effective_sample_size, evidence.at_beta(3.0).effective_sample_size
+            )
+
+
+class TestFit:
+    def test_intervals_cover_the_beta_of_the_demonstrators(self) -> None:
+        """Of 20 intervals at 80 %, each from 12 demonstrations, between 12 and 19 hold it."""
+        made, evidence = shown(), sampled(1.2)
+        fits = [fit_beta(CART, evidence, made[12 * k : 12 * k + 12], 0.8) for k in range(20)]
+        covers = [fit.interval[0] < 2.0 < fit.interval[1] for fit in fits]
+        assert 12 <= sum(covers) <= 19
+        width = np.median([fit.interval[1] - fit.interval[0] for fit in fits])
+        curvature = Likelihood.of(evidence, np.zeros(12, int), np.zeros(12)).at(2.0).curvature
+        assert width == pytest.approx(2 * 1.2816 / math.sqrt(curvature), rel=0.25)
+
+    @pytest.mark.parametrize(("beta", "sampling"), [(1.0, 0.7), (2.0, 2.0), (4.0, 2.0)])
+    def test_all_together_give_the_beta_of_the_demonstrators(
+        self, beta: float, sampling: float
+    ) -> None:
+        """Also where samples and problem have another."""
+        fit = fit_beta(cooled(CART, 7.0), sampled(sampling), shown(beta, 80), 0.999)
+        low, high = fit.interval
+        assert low < beta < high
+        assert low < fit.beta < high
+        assert high - low < 1.5 * beta
+        assert fit.trusted[0] < low
+        assert high < fit.trusted[1]
+        assert not fit.at_boundary
+
+    def test_likelihood_falls_by_the_same_at_both_ends(self) -> None:
+        made, evidence = shown()[:20], sampled()
+        fit = fit_beta(CART, evidence, made)
+        likelihood = Likelihood.of(evidence, np.zeros(20, int), total_rewards(CART, made))
+        best = likelihood.at(fit.beta).value
+        for end in fit.interval:
+            assert best - likelihood.at(end).value == pytest.approx(3.8415 / 2, abs=1e-3)
+
+    def test_standard_error_is_the_spread_of_samplings(self) -> None:
+        fits = [fit_beta(CART, sampled(num=1_000, seed=seed), shown()[:20]) for seed in range(30)]
+        stated = np.sqrt(np.mean([fit.standard_error**2 for fit in fits]))
+        assert np.std([fit.beta for fit in fits]) == pytest.approx(stated, rel=0.4)
+
+    def test_resampled_trajectories_do_as_well(self) -> None:
+        evidence = sample(Guessed(CART, 0.1), CART_TASK, 4_000, method="smc")
+        smc, importance = (fit_beta(CART, source, shown()) for source in (evidence, sampled()))
+        error = math.hypot(smc.standard_error, importance.standard_error)
+        assert error < 0.2
+        assert smc.beta == pytest.approx(importance.beta, abs=STANDARD_ERRORS * error)
+
+    def test_who_beats_every_sample_is_at_the_boundary(self) -> None:
+        straight = np.linspace(CART_TASK.start, CART_TASK.goal, 8)
+        made = Demonstration("ideal", straight, CART_TASK, actions=np.zeros((7, 1)))
+        fit = fit_beta(CART, sampled(), [made])
+        assert fit.at_boundary
+        assert fit.beta == fit.interval[1] == math.inf
+        assert 0.0 < fit.interval[0] < fit.trusted[1]
+        assert math.isnan(fit.standard_error)
+        assert str(fit).startswith(f"beta at the boundary: at least {fit.interval[0]:.3g}, as ")
+        written = json.loads(json.dumps(fit.to_json(), allow_nan=False))
+        assert written["beta"] is written["high"] is written["standard_error"] is None
+        assert written["at_boundary"] is True
+        assert not fit_beta(CART, sampled(), [made, *shown()[:20]]).at_boundary
+
+    def test_who_earns_as_much_as_the_best_sample_is_at_the_boundary(self) -> None:
+        """Rewards of demonstrations and samples differ by rounding; many share the best one."""
+        problem = routes(Routes(), known=[], beta=4.0)
+        straight = Demonstration("straight", np.linspace(*TASK, 9), TASK, actions=np.zeros((8, 1)))
+        evidence = sample(learn(problem, "grid?num_points=40"), TASK, 2_000)
+        assert total_rewards(problem, [straight])[0] == evidence.samples.total_reward.max()
+        assert fit_beta(problem, evidence, [straight]).beta == math.inf
+
+    def test_who_earns_less_than_at_random_is_at_zero(self) -> None:
+        worst = min(shown(0.3, 40), key=lambda made: total_rewards(CART, [made])[0])
+        fit = fit_beta(CART, sampled(0.1), [worst] * 5)
+        assert fit.at_boundary
+        assert fit.beta == fit.interval[0] == fit.trusted[0] == 0.0
+        assert 0.0 < fit.interval[1] < 0.1
+        assert str(fit).startswith("beta at the boundary: 0 to 0.")
+
+    def test_an_end_that_no_sample_tells_is_open(self) -> None:
+        made = shown()[:60]
+        good = np.argsort(total_rewards(CART, made))[40]
+        fit = fit_beta(CART, sampled(num=400), [made[good]])
+        assert fit.interval[1] == math.inf
+        assert str(fit).endswith("or more)")
+
+    def test_a_maximum_beyond_the_samples_names_the_beta_to_sample_at(self) -> None:
+        for sampling, beta, where in ((0.05, 8.0, "above"), (8.0, 0.3, "below")):
+            evidence = sampled(sampling, 4_000)
+            with pytest.raises(
+                ValueError, match=f"greatest {where} beta .* not to be trusted"
+            ) as caught:
+                fit_beta(CART, evidence, shown(beta, 40))
+            edge = float(str(caught.value).partition(f"{where} beta ")[2].partition(",")[0])
+            assert f"swerve.sample(nominal, tasks, beta={edge:.3g})" in str(caught.value)
+            assert evidence.at_beta(edge).effective_sample_size[0] > 99.0
+            if where == "below":
+                assert edge == 0.5 * sampling
+            else:
+                assert evidence.at_beta(1.3 * edge).effective_sample_size[0] < 100.0
+
+
+class TestRewards:
+    def test_are_those_of_the_steps(self) -> None:
+        made = shown()[0]
+        mdp, states, actions = CART.mdp, made.states, made.actions
+        assert actions is not None
+        steps = [mdp.reward(*step, made.task.goal) for step in zip(states, actions, states[1:])]  # noqa: B905
+        expected = sum(map(float, steps)) + float(mdp.terminal_reward(states[-1], made.task.goal))
+        assert total_rewards(CART, [made]) == pytest.approx([expected], rel=1e-5)
+
+    @pytest.mark.parametrize("offset", [0.0, 1.7e9])
+    def test_rows_at_other_times_are_resampled(self, offset: float) -> None:
+        made = next(item for item in shown() if len(item.states) == 8)
+        assert made.times is not None
+        assert made.actions is not None
+        times = np.sort(np.concatenate([made.times, made.times[:-1] + 0.2, [0.01, 2.03]]))
+        held = made.actions[(times[:-1] / 0.5 + 1e-6).astype(int)]
+        states = np.stack([np.interp(times, made.times, x) for x in made.states.T], axis=1)
+        finer = dataclasses.replace(made, states=states, times=times + offset, actions=held)
+        expected = total_rewards(CART, [made])
+        np.testing.assert_allclose(total_rewards(CART, [finer]), expected, rtol=1e-5)
+        wrong = dataclasses.replace(made, times=0.5 * made.times)  # as if twice as fast
+        assert abs(total_rewards(CART, [wrong])[0] - expected[0]) > 0.01
+
+    def test_angles_are_resampled_along_the_shorter_arc(self) -> None:
+        problem = short_pendulum()
+        theta = np.linspace(6.0, 7.2, 13)
+        states = np.stack([theta, np.full(13, 0.5)], axis=1)
+        times, goal = 0.2 * np.arange(13), np.array([1.0, 0.0])
+        turned = Demonstration("a", states, Task(states[0], goal), times, np.ones((12, 1)))
+        wrapped = states % [2.0 * math.pi, 100.0]
+        assert np.ptp(np.diff(wrapped[:, 0])) > 1.0
+        for item in (turned, dataclasses.replace(turned, states=wrapped)):
+            steps = Demonstration("b", states[::2], item.task, None, np.ones((6, 1)))
+            np.testing.assert_allclose(
+                total_rewards(problem, [item]), total_rewards(problem, [steps]), rtol=1e-5
+            )
+
+    def test_what_comes_after_the_end_does_not_count(self) -> None:
+        states = np.array([[0.6, 0.3], [1.1, 1.0], [1.6, 1.0], [2.1, 1.0], [2.6, 1.0]])
+        made = Demonstration("over", states, CART_TASK, actions=np.ones((4, 1)))
+        ended = dataclasses.replace(made, states=states[:3], actions=np.ones((2, 1)))
+        assert total_rewards(CART, [made]) == total_rewards(CART, [ended])
+
+    def test_the_last_state_is_kept(self) -> None:
+        """2.8 steps of 0.5 s count as three, to the line and not to just before it."""
+        states = np.array([[0.6, 0.3], [1.0, 1.0], [1.52, 1.0]])
+        made = Demonstration("e", states, CART_TASK, np.array([0.0, 0.7, 1.4]), np.ones((2, 1)))
+        bare = dataclasses.replace(made, states=states[:2], times=made.times[:2], actions=[[1.0]])  # pyright: ignore
+        assert total_rewards(CART, [made])[0] < total_rewards(CART, [bare])[0] - 2.0
+
+    def test_a_lattice_needs_no_times(self) -> None:
+        problem = routes(LatticeRoutes(), known=[], measure="counting")
+        states = np.linspace(*TASK, 9)
+        made = Demonstration("straight", states, TASK, times=np.arange(9) * 7.0)
+        assert total_rewards(problem, [made]) == pytest.approx([0.0])
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"actions": None}, "a: expected actions force, got none: what a demonstration earned"),
+            ({"actions": np.ones((4, 2))}, "a: expected actions force, got 2 of them"),
+            ({"actions": np.full((4, 1), np.nan)}, "a: row 1, column force: expected a finite"),
+            ({"times": 2.0 * np.arange(5)}, "a: 16 steps, more than the horizon of 7"),
+            ({"actions": np.full((4, 1), 1e30)}, "a: expected a finite total reward, got -inf"),
+        ],
+    )
+    def test_what_cannot_be_rewarded_is_refused(self, changes: dict, message: str) -> None:
+        states = np.tile(CART_TASK.start, (5, 1))
+        made = Demonstration("a", states, CART_TASK, actions=np.ones((4, 1)))
+        with pytest.raises(ValueError, match=message):
+            total_rewards(CART, [dataclasses.replace(made, **changes)])
+
+
+class TestBadArguments:
+    @pytest.mark.parametrize("confidence", [0.0, 1.0, -1.0, math.nan])
+    def test_confidence(self, confidence: float) -> None:
+        with pytest.raises(ValueError, match="confidence: expected a number between 0 and 1, got"):
+            fit_beta(CART, sampled(), shown(), confidence)
+
+    def test_demonstrations(self) -> None:
+        for made in ([], shown()[0]):
+            with pytest.raises(ValueError, match="demonstrations: expected a list of at least one"):
+                fit_beta(CART, sampled(), made)  # pyright: ignore[reportArgumentType]
+        nothing = Task(np.zeros(2), np.zeros(2))
+        made = Demonstration("elsewhere", np.zeros((3, 2)), nothing, actions=np.ones((2, 1)))
+        with pytest.raises(ValueError, match="elsewhere: no evidence for start"):
+            fit_beta(CART, sampled(), [made])
+
+    def test_problem(self) -> None:
+        with pytest.raises(ValueError, match=r"problem: expected a swerve\.Problem, got Prob"):
+            fit_beta(CART.record, sampled(), shown())  # pyright: ignore[reportArgumentType]
+        with pytest.raises(ValueError, match="evidence: expected that of the problem, whose beta"):
+            fit_beta(short_cart(measure="counting"), sampled(), shown())
+
+    def test_evidence(self) -> None:
+        with pytest.raises(ValueError, match=r"evidence: expected a swerve\.Evidence"):
+            fit_beta(CART, None, shown())  # pyright: ignore[reportArgumentType]
+        lattice = routes(LatticeRoutes())
+        answers = sample(learn(lattice), TASK)
+        straight = Demonstration("straight", np.linspace(*TASK, 9), TASK)
+        with pytest.raises(ValueError, match=r"evidence: exact answers by Tabular.* no samples"):
+            fit_beta(lattice, answers, [straight])
+        with pytest.raises(ValueError, match="samples drawn for a beta > 0, got 0: sample anew"):
+            fit_beta(CART, sampled(0.0, 400), shown())
+        with pytest.raises(ValueError, match=r"at least 100 in every task at beta 2, .* got 9"):
+            fit_beta(CART, sampled(num=98), shown())
+
+
+def test_a_fit_is_said_as_people_say_it() -> None:
+    fit = BetaFit(0.7123, (0.5811, 0.8642), 0.01, (0.1, 3.0))
+    assert str(fit) == "beta 0.712 (0.581 to 0.864)"
+    assert fit.to_json()["high"] == 0.8642
