@@ -85,10 +85,15 @@ def with_steps(solver: TrainingSolver, num_steps: float) -> TrainingSolver:
     return dataclasses.replace(solver, **changed)  # pyright: ignore[reportArgumentType]
 
 
+def new_run(solver: TrainingSolver, truth: Truth) -> Run:
+    """Return a run of training that has not begun."""
+    return Run(solver, solver.trainer(truth.problem, 0), truth.problem, truth.tasks, 0, None)
+
+
 def steps_per_second(solver: TrainingSolver, truth: Truth) -> float:
     """Return how fast a solver trains here."""
     chunk = TIMED * solver.num_lanes * solver.segment
-    run = Run(with_steps(solver, chunk * NUM_CHUNKS), truth.problem, truth.tasks, 0, None)
+    run = new_run(with_steps(solver, chunk * NUM_CHUNKS), truth)
     before, after = run.advance(), run.advance()
     assert before is not None
     assert after is not None
@@ -97,7 +102,7 @@ def steps_per_second(solver: TrainingSolver, truth: Truth) -> float:
 
 def measure(solver: TrainingSolver, truth: Truth, every: int, num: int) -> Iterator[dict[str, Any]]:
     """Train, and yield a row after every few chunks and the last."""
-    run = Run(solver, truth.problem, truth.tasks, 0, None)
+    run = new_run(solver, truth)
     while (progress := run.advance()) is not None:
         number = len(run.history)
         if number % every and number != solver.num_chunks:

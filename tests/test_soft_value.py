@@ -26,7 +26,7 @@ from swerve.solvers.training import Progress, TrainedNominal
 
 STANDARD_ERRORS = {"importance": 4.5, "smc": 6.1}  # 20 islands: as unlikely by Student's t
 NUM = 20_000
-SMALL = SoftValue(num_steps=600_000, num_lanes=256, segment=8, width=32, learning_rate=5e-3)
+SMALL = SoftValue(num_steps=600_000, num_lanes=256, segment=8, num_minibatches=2, width=32)
 TINY = SoftValue(num_steps=8_000, num_lanes=16, segment=8, width=8)
 WALL = Box(x=(0.2, 0.5), v=(-2.0, -0.6))
 PROBLEMS = {

@@ -27,10 +27,14 @@ from swerve.training_plot import FORBIDDEN, plot_training
 
 SOLVERS = {
     "ppo": PPO(num_steps=20_480, num_lanes=16, segment=8, num_minibatches=2, width=8),
-    "soft-value": SoftValue(num_steps=8_000, num_lanes=16, segment=4, width=8),
+    "soft-value": SoftValue(num_steps=8_000, num_lanes=16, segment=8, width=8),
 }
 READ = Reading(2.0, 5.0, 0.3)
 each_solver = pytest.mark.parametrize("solver", SOLVERS.values(), ids=SOLVERS)
+
+
+def new_run(solver: TrainingSolver, problem: Problem, seed: int, path: Path | None) -> TrainingRun:
+    return TrainingRun(solver, solver.trainer(problem, seed), problem, None, seed, path)
 
 
 @cache
@@ -105,10 +109,10 @@ class TestHistory:
     ) -> None:
         monkeypatch.setattr(Probe, "read", lambda self, policy: READ)
         solver, path = PPO(num_steps=1, num_lanes=8, segment=1, width=4), tmp_path / "a.checkpoint"
-        run = TrainingRun(solver, short_pendulum(), None, 0, path)
+        run = new_run(solver, short_pendulum(), 0, path)
         assert run.advance() is not None
         assert run.advance() is None
-        again = TrainingRun(solver, short_pendulum(), None, 0, path)
+        again = new_run(solver, short_pendulum(), 0, path)
         assert again.history == run.history
         assert again.advance() is None
 
@@ -297,7 +301,7 @@ class TestBadNumbers:
         """What was learned before it is kept; if that is nothing, it is an error."""
         monkeypatch.setattr(Probe, "read", lambda self, policy: READ)
         problem = short_pendulum()
-        kept = TrainingRun(solver, problem, None, 3, None)
+        kept = new_run(solver, problem, 3, None)
         for _ in range(2):
             kept.advance()
         trainer = type(solver.trainer(problem, 3))

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from swerve.mdp import MDP, rk4
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.problem import Problem
+    from swerve.resolving import resolve
     from swerve.sampling import sample
     from swerve.selection import Pick, divergence, greedy
     from swerve.solvers.discrete import Discrete
+    from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
@@ -52,6 +54,7 @@ _HOMES = {
     "Constraint": "constraints",
     "Demonstration": "demonstrations",
     "Discrete": "solvers.discrete",
+    "Distilled": "solvers.distilled",
     "DoublePendulum": "systems.double_pendulum",
     "Enumeration": "solvers.enumeration",
     "Evidence": "evidence",
@@ -86,6 +89,7 @@ _HOMES = {
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
     "rk4": "mdp",
+    "resolve": "resolving",
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
@@ -102,6 +106,7 @@ __all__ = [
     "Constraint",
     "Demonstration",
     "Discrete",
+    "Distilled",
     "DoublePendulum",
     "Enumeration",
     "Evidence",
@@ -133,6 +138,7 @@ __all__ = [
     "load_problem",
     "read_demonstrations",
     "read_tasks",
+    "resolve",
     "rk4",
     "sample",
     "save_nominal",

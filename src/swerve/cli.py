@@ -50,9 +50,9 @@ WorkFolder = Annotated[
 SolverName = Annotated[
     str | None,
     Parameter(
-        help="grid, ppo, tabular, enumeration or discrete, with settings as in "
-        "'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular where states are "
-        "finitely many, grid for up to 3 states, else ppo]"
+        help="grid, soft-value, distilled, ppo, tabular, enumeration or discrete, with settings "
+        "as in 'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular where "
+        "states are finitely many, grid for up to 3 states, else soft-value]"
     ),
 ]
 Samples = Annotated[
@@ -63,7 +63,7 @@ Method = Annotated[
     str | None,
     Parameter(
         help="smc, importance or plain, for solvers that are sampled. "
-        "[default: smc for soft-value, else importance]"
+        "[default: smc for soft-value and distilled, else importance]"
     ),
 ]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
@@ -105,7 +105,9 @@ def infer(
     evidence = job.evidence(asked)
     if not found and asked is not None:
         evidence = _only(evidence, asked)
-    _show(infer_constraints(evidence, found, score=score), report, as_json)
+    result = infer_constraints(evidence, found, score=score)
+    result = infer_constraints(job.resolved(result), found, score=score)
+    _show(result, report, as_json)
 
 
 @app.command

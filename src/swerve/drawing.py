@@ -17,16 +17,21 @@ import numpy as np
 from swerve import estimators
 from swerve.look_ahead import ValuedPolicy
 from swerve.problem import Problem, ProblemRecord
-from swerve.samples import NUM_ISLANDS, NUM_KEPT, Samples, log_weights
+from swerve.samples import NUM_ISLANDS, NUM_KEPT, RESAMPLED, TEMPERED, Samples, log_weights
 from swerve.smc import Particles, smc_rollout
 from swerve.space import Actions, Task
+from swerve.tempering import temper
 from swerve.trajectory import Policy, Trajectory, rollout
 
 CHUNK = 2048  # trajectories rolled out at once: their activations stay in cache
 
 
 class Job(NamedTuple):
-    """One task to be sampled."""
+    """One task to be sampled.
+
+    Attributes:
+      record: of the problem whose pi_0 is wanted; its beta may be another one than `problem` has.
+    """
 
     problem: Problem
     record: ProblemRecord
@@ -89,9 +94,9 @@ def draw_task(job: Job, run_all: Callable, advance: Callable[..., None]) -> Samp
 def _chunk_sizes(job: Job) -> list[int]:
     """Return how many trajectories to draw in each chunk; all but the last the same number.
 
-    With "smc" a chunk is made of whole islands.
+    A chunk of trajectories that are resampled is made of whole islands.
     """
-    if job.method == "smc":
+    if job.method in RESAMPLED:
         island = job.num_trajectories // NUM_ISLANDS
         fit = [k for k in range(1, NUM_ISLANDS + 1) if NUM_ISLANDS % k == 0 and k * island <= CHUNK]
         num_islands = max(fit, default=1)
@@ -103,7 +108,7 @@ def _chunk_sizes(job: Job) -> list[int]:
 
 def _soft_value(job: Job) -> np.ndarray:
     """Return log Z_0 of the task by the solver's own soft value, NaN where it has none."""
-    if not isinstance(job.policy, ValuedPolicy):
+    if not isinstance(job.policy, ValuedPolicy) or job.method == TEMPERED:
         return np.array(np.nan)
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
     return np.asarray(_value_at_start(job.policy, start, goal), np.float64)
@@ -119,10 +124,21 @@ def _sample_chunk(job: Job, key: jax.Array, size: int, used: int) -> _Chunk:
     problem = job.problem
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
     particles = None
-    if job.method == "smc":
+    if job.method in RESAMPLED:
         island = job.num_trajectories // NUM_ISLANDS
-        assert isinstance(job.policy, ValuedPolicy)
-        particles = smc_rollout(job.policy, start, goal, key, size // island, island)
+        if job.method == TEMPERED:
+            particles = temper(
+                problem,
+                job.policy,
+                job.task,
+                job.record.beta,
+                num_islands=size // island,
+                num_particles=island,
+                seed=int(jax.random.bits(key)),
+            )
+        else:
+            assert isinstance(job.policy, ValuedPolicy)
+            particles = smc_rollout(job.policy, start, goal, key, size // island, island)
         trajectory = particles.trajectory
     else:
         trajectory = rollout(problem, job.policy, start, goal, key, size)

@@ -47,9 +47,9 @@ class Evidence:
     Attributes:
       problem: what the estimates are of.
       tasks: starts [K, n] and goals [K, g].
-      method: "smc", "importance", "plain" (the paper's estimates: all weights equal, and at
-        another beta those of its Theorem 2), or "exact": then the estimates are no estimates, and
-        the trajectories are there for pictures alone.
+      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal,
+        and at another beta those of its Theorem 2), or "exact": then the estimates are no
+        estimates, and the trajectories are there for pictures alone.
       num_trajectories: N a task.
       solver: the solver and its settings, for people.
       seed: of the sampling.
@@ -115,7 +115,7 @@ class Evidence:
 
         The samples then only say that the ratio is small: its log is given as that of the share.
         """
-        return self.summary.avoid_probability < self.resolution[:, None]
+        return (self.summary.avoid_probability < self.resolution[:, None]) & ~self.is_resolved
 
     @property
     def log_ratio(self) -> np.ndarray:
@@ -134,10 +134,18 @@ class Evidence:
     @property
     def _estimate(self) -> estimators.LogRatio:
         summary = self.summary
-        if self.is_exact:
-            return estimators.LogRatio(summary.log_ratio, np.zeros_like(summary.log_ratio))
         estimate = estimators.Estimate(summary.avoid_probability, summary.avoid_variance)
-        return estimators.log_ratio(estimate, self.resolution)
+        sampled = estimators.log_ratio(estimate, self.resolution)
+        known, error = self.is_resolved, summary.log_ratio_error
+        return estimators.LogRatio(
+            np.where(known, summary.log_ratio, sampled.value),
+            np.where(known, error, sampled.standard_error),
+        )
+
+    @property
+    def is_resolved(self) -> np.ndarray:
+        """[K, H] True where the ratio was worked out with the constraint in force, or is exact."""
+        return np.isfinite(self.summary.log_ratio_error)
 
     @property
     def log_partition(self) -> np.ndarray:
@@ -148,9 +156,10 @@ class Evidence:
     def kl(self) -> np.ndarray:
         """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
 
-        For "smc" it is KL(pi_0 || pi), since its trajectories are those of pi_0. After `at_beta`
-        pi is still the policy that drew them and pi_0 that of the new beta, which it was not made
-        for; for "plain" it stays that of `sampling_beta`, which its weights take pi for.
+        For "smc" and "tempered" it is KL(pi_0 || pi), since their trajectories are those of pi_0.
+        After `at_beta` pi is still the policy that drew them and pi_0 that of the new beta, which
+        it was not made for; for "plain" it stays that of `sampling_beta`, which its weights take pi
+        for.
         """
         return self.summary.kl
 

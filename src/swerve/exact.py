@@ -89,6 +89,7 @@ def exact_evidence(
         avoid_probability=answer.avoid_probability[None],
         avoid_variance=np.zeros((1, len(answer.log_ratio))),
         log_ratio=answer.log_ratio[None],
+        log_ratio_error=np.zeros((1, len(answer.log_ratio))),
         log_partition=np.array([log_partition]),
         kl=np.zeros(1),
         island_log_partition=np.full((1, NUM_ISLANDS), log_partition),

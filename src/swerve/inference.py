@@ -101,6 +101,20 @@ class Inference:
         floored = self.evidence.is_floored & (self.task_counts > 0)[:, None]
         return np.asarray(floored.any(axis=0))
 
+    @cached_property
+    def is_open(self) -> np.ndarray:
+        """[K, H] True where a ratio that matters to the ranking is a bound that can be resolved.
+
+        See `resolve`. Not where that was tried, nor where a task starts inside a hypothesis.
+        """
+        evidence, used = self.evidence, self.task_counts > 0
+        untried = np.isnan(evidence.summary.log_ratio_error)
+        is_open = evidence.is_floored & untried & used[:, None] & ~self.struck_out
+        for index in np.flatnonzero(is_open.any(axis=0)).tolist():
+            constraint = evidence.problem.hypotheses.constraint(index)
+            is_open[:, index] &= ~constraint.contains(evidence.tasks.start, evidence.problem.space)
+        return is_open
+
     @property
     def score(self) -> np.ndarray:
         """[H] what the ranking is by; -inf where struck out."""

@@ -18,6 +18,7 @@ from swerve.arguments import instance, whole_number
 from swerve.exact import ExactAnswer
 from swerve.problem import Problem
 from swerve.solvers.discrete import Discrete
+from swerve.solvers.distilled import Distilled
 from swerve.solvers.enumeration import Enumeration
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
@@ -123,6 +124,7 @@ SOLVERS: dict[str, type[Solver]] = {
     "grid": Grid,
     "ppo": PPO,
     "soft-value": SoftValue,
+    "distilled": Distilled,
     "tabular": Tabular,
     "discrete": Discrete,
     "enumeration": Enumeration,
@@ -144,7 +146,7 @@ def learn(
       problem: what to learn it for.
       solver: a solver such as `swerve.PPO(num_steps=20_000_000)`, or its name, with parameters as
         in "ppo?num_steps=2e7"; None takes tables if the MDP is tabular, else the grid for up to 3
-        state dimensions, else PPO.
+        state dimensions, else soft value networks.
       tasks: those on which solvers that train report their progress; drawn from the MDP if None.
       seed: of everything random.
       progress: whether to show a progress bar.
@@ -194,7 +196,7 @@ def default_solver(problem: Problem) -> str:
     """Return the solver to use where none is asked for: tables, else a grid if one fits."""
     if isinstance(problem.mdp, TabularMDP):
         return "tabular"
-    return "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "ppo"
+    return "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "soft-value"
 
 
 def save_nominal(path: str | Path, nominal: Nominal) -> None:

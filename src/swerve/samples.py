@@ -14,9 +14,12 @@ from swerve import estimators
 from swerve.problem import ProblemRecord
 
 METHODS = ("smc", "importance", "plain")
+TEMPERED = "tempered"  # what the method is called where a beta is reached by those between
+RESAMPLED = ("smc", TEMPERED)  # methods whose trajectories are those of pi_0, in islands
 REWEIGHED = ("importance", "plain")  # methods that share trajectories
-SMC_SOLVERS = ("grid", "soft-value")  # whose policies look ahead with a value
-SMC_BY_DEFAULT = ("soft-value",)  # a grid's value leaves hardly anything to resample
+SMC_SOLVERS = ("grid", "soft-value", "distilled")  # whose policies have a soft value
+ADAPTING_SOLVERS = ("grid", "soft-value")  # that can go on with more known constraints
+SMC_BY_DEFAULT = ("soft-value", "distilled")  # a grid's value leaves hardly anything to resample
 NUM_ISLANDS = 20  # parts of the trajectories of a task that have nothing to do with one another
 EXACT = "exact"  # what the method of evidence is called that a solver gave without sampling
 NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures
@@ -73,9 +76,13 @@ class Summary(NamedTuple):
       avoid_probability: [K, H] Z_c / Z_0.
       avoid_variance: [K, H] its sampling variance.
       log_ratio: [K, H] its log, nats, which exact answers know where the ratio is no number.
+      log_ratio_error: [K, H] its standard error, nats, where it was worked out with the constraint
+        in force (see `resolving`) or is exact; infinite where that did not settle it; NaN where it
+        was not tried.
       log_partition: [K] log Z_0, nats.
-      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" KL(pi_0 || pi). pi_0 is that
-        of the problem's beta, but for "plain" that of the beta drawn for, which it takes pi for.
+      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" and "tempered"
+        KL(pi_0 || pi). pi_0 is that of the problem's beta, but for "plain" that of the beta drawn
+        for, which it takes pi for.
       effective_sample_size: [K] of the weights in full, and for "plain" of its own where that is
         less; first those of trajectories that come from the same one at the start are added.
       distinct_share: [K] share of the trajectories at the start that any comes from.
@@ -91,6 +98,7 @@ class Summary(NamedTuple):
     avoid_probability: np.ndarray
     avoid_variance: np.ndarray
     log_ratio: np.ndarray
+    log_ratio_error: np.ndarray
     log_partition: np.ndarray
     kl: np.ndarray
     effective_sample_size: np.ndarray
@@ -124,7 +132,7 @@ def summarise(
         kept, ancestor = samples.kept[k], samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
         estimate = _avoid_probability(used, ancestor, samples.violations[k], problem)
-        if method == "smc":
+        if method in RESAMPLED:
             kl = float(estimators.normalise(log_weight) @ _finite(drawn_by[k])) - log_partition
         else:
             assumed = _finite(used) if method == "plain" else 0.0
@@ -133,6 +141,7 @@ def summarise(
             (
                 *estimate,
                 _log(estimate.avoid_probability),
+                np.full(len(problem.hypotheses), np.nan),
                 log_partition,
                 kl,
                 min(estimators.effective_sample_size(x, ancestor) for x in (log_weight, used)),

@@ -10,6 +10,7 @@ dimensions.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import zlib
 from collections.abc import Iterator, Sequence
@@ -18,19 +19,22 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from swerve.arguments import whole_number
+from swerve.arguments import positive_number, whole_number
 from swerve.drawing import Job, draw_task
 from swerve.evidence import Evidence
 from swerve.exact import exact_evidence
 from swerve.look_ahead import ValuedPolicy
 from swerve.nominal import ExactNominal, Nominal, PolicyNominal
+from swerve.problem import ProblemRecord
 from swerve.progress import progress_bar
 from swerve.samples import (
     EXACT,
     METHODS,
     NUM_ISLANDS,
+    RESAMPLED,
     SMC_BY_DEFAULT,
     SMC_SOLVERS,
+    TEMPERED,
     summarise,
 )
 from swerve.space import Task
@@ -43,6 +47,7 @@ def sample(
     num_trajectories: int = 10_000,
     *,
     method: str | None = None,
+    beta: float | None = None,
     seed: int = 0,
     progress: bool = False,
 ) -> Evidence:
@@ -57,6 +62,10 @@ def sample(
         weight on the way as well (sequential Monte Carlo; N is then rounded up to a multiple of
         20), for solvers with a soft value, and the default of "soft-value"; "plain" weighs all
         alike, as the paper does. Solvers that give exact answers take none of these.
+      beta: of the demonstrator, where it is not the one that was learned for. The trajectories are
+        brought there by way of as many temperatures between as it takes (the paper, Theorem 2; see
+        `tempering`), whatever the policy; `Evidence.at_beta` is quicker where it is near. `method`
+        is left out then.
       seed: of the sampling. A task's trajectories depend on the seed and the task alone, not on
         the other tasks of the call.
       progress: whether to show a progress bar.
@@ -69,7 +78,15 @@ def sample(
         the dynamics return NaN.
     """
     found = dict(
-        sample_each(nominal, tasks, num_trajectories, method=method, seed=seed, progress=progress)
+        sample_each(
+            nominal,
+            tasks,
+            num_trajectories,
+            method=method,
+            beta=beta,
+            seed=seed,
+            progress=progress,
+        )
     )
     first, *others = (found[k] for k in sorted(found))
     return first.joined(*others)
@@ -81,6 +98,7 @@ def sample_each(
     num_trajectories: int,
     *,
     method: str | None,
+    beta: float | None = None,
     seed: int,
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
@@ -88,18 +106,27 @@ def sample_each(
 
     Tasks with the same goal follow one another, whatever their order.
     """
+    if beta is not None:
+        beta = positive_number(beta, "beta")
+        if method not in (None, TEMPERED):
+            raise ValueError(
+                f"method: another beta than the one learned for is reached by {TEMPERED!r}, so "
+                f"leave {method!r} out"
+            )
+        method = TEMPERED
     if isinstance(nominal, ExactNominal):
         yield from _answer_each(nominal, tasks, method, seed, progress)
     elif isinstance(nominal, PolicyNominal):
-        yield from _sample_each(
-            nominal, tasks, num_trajectories, method or _default_method(nominal), seed, progress
-        )
+        if method is None:
+            method = "smc" if nominal.solver.name in SMC_BY_DEFAULT else "importance"
+        if method not in METHODS and beta is None:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        record = nominal.problem.record
+        if beta is not None:
+            record = dataclasses.replace(record, beta=beta)
+        yield from _sample_each(nominal, tasks, num_trajectories, method, record, seed, progress)
     else:
         raise ValueError(f"nominal: expected what swerve.learn returns, got {nominal!r}")
-
-
-def _default_method(nominal: Nominal) -> str:
-    return "smc" if nominal.solver.name in SMC_BY_DEFAULT else "importance"
 
 
 def _answer_each(
@@ -110,6 +137,11 @@ def _answer_each(
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
     """Yield the exact evidence of each task in turn."""
+    if method == TEMPERED:
+        raise ValueError(
+            f"beta: the {nominal.solver.name} solver gives exact answers for the problem's beta: "
+            "learn a problem with this beta"
+        )
     if method not in (None, EXACT):
         raise ValueError(
             f"method: the {nominal.solver.name} solver gives exact answers, so there is nothing to "
@@ -133,22 +165,20 @@ def _sample_each(
     tasks: Task | Sequence[Task],
     num_trajectories: int,
     method: str,
+    record: ProblemRecord,
     seed: int,
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
-    """Yield the evidence of each task, sampled."""
+    """Yield the evidence of each task, sampled for the beta of a record."""
     batch = checked_tasks(nominal.problem, tasks)
-    if method not in METHODS:
-        raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 2)
-    if method == "smc":  # islands of the same size
+    if method in RESAMPLED:  # islands of the same size
         num_trajectories = NUM_ISLANDS * -(-num_trajectories // NUM_ISLANDS)
     seed = whole_number(seed, "seed", 0)
     _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs about as much
     workers = ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0)))
-    record = nominal.problem.record
     with workers, progress_bar("sampling", total, progress) as advance:
         policies = nominal.policies(goals, lambda share: advance(share * num_trajectories))
         for goal, policy in enumerate(policies):

@@ -25,10 +25,19 @@ from swerve.inference import TIE_ERRORS, Inference
 
 LOW_ESS_SHARE = 0.02
 LOW_ESS = 100.0
-HIGH_KL = {"smc": math.inf, "importance": 0.5, "plain": 0.1}  # nats, between policy and pi_0
+HIGH_KL = {  # nats, between policy and pi_0
+    "smc": math.inf,
+    "tempered": math.inf,
+    "importance": 0.5,
+    "plain": 0.1,
+}
 HIGH_SPREAD = 1.0  # nats: standard deviation of log Z_0 between islands
 HOTTEST = 0.5  # of the beta drawn for: below it, weights of a Gaussian would have no variance
-VALUE_GAP = {"Grid(": 0.1, "SoftValue(": 1.0}  # nats, between a solver's log Z_0 and its samples'
+VALUE_GAP = {  # nats, between a solver's log Z_0 and its samples'
+    "Grid(": 0.1,
+    "SoftValue(": 1.0,
+    "Distilled(": 2.0,
+}
 NUM_ERRORS = 3.0  # standard errors on top
 GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 NUM_SETTLED = 3  # first hypotheses whose order is to be told

@@ -64,6 +64,7 @@ def sentence(inference: Inference) -> str:
 
 _METHODS = {
     "smc": "sequential Monte Carlo",
+    "tempered": "tempering",
     "importance": "importance weights",
     "plain": "plain weights",
 }

@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -29,12 +29,14 @@ import swerve
 from swerve import store
 from swerve.evidence import Evidence
 from swerve.problem import ProblemRecord
-from swerve.samples import REWEIGHED
+from swerve.samples import ADAPTING_SOLVERS, REWEIGHED
 from swerve.settings import Settings
 from swerve.space import Task
-from swerve.specification import canonical_problem, file_hash, source_hashes
+from swerve.specification import Specification, canonical_problem, file_hash, source_hashes
+from swerve.trust import some_names
 
 if TYPE_CHECKING:
+    from swerve.inference import Inference
     from swerve.nominal import Nominal
     from swerve.problem import Problem
 
@@ -133,21 +135,23 @@ class Work:
           tasks: those on which training reports its progress.
         """
         from swerve.nominal import learn, load_nominal, resolve_solver, save_nominal
+        from swerve.solvers.distilled import Distilled
 
         problem, settings = self.problem, self.settings
         assert settings.solver is not None
         assert settings.seed is not None
         solver = resolve_solver(settings.solver)
         solver.check(problem)
+        train = partial(learn, problem, solver)
+        if isinstance(solver, Distilled) and not self._is_learned:
+            train = partial(solver.imitate, self._teacher.nominal(tasks))
         self._begin()
         path, checkpoint = self.path("nominal"), self.path("checkpoint")
         if path is not None and path.exists():
             self.say(f"using {path}")
             return load_nominal(path, problem)
         self.say(f"learning with {settings.solver}: {problem.record.summary}")
-        nominal = learn(
-            problem,
-            solver,
+        nominal = train(
             tasks=tasks,
             seed=settings.seed,
             progress=self.progress,
@@ -157,6 +161,36 @@ class Work:
             save_nominal(path, nominal)
             checkpoint.unlink(missing_ok=True)
         return nominal
+
+    @property
+    def _is_learned(self) -> bool:
+        path = self.path("nominal")
+        return path is not None and path.exists()
+
+    @property
+    def _teacher(self) -> Work:
+        """The same folder, for the soft value that a direct policy is distilled from."""
+        settings = Settings(solver="soft-value", seed=self.settings.seed)
+        return Work(self.problem_text, self.folder, settings, say=self.say, progress=self.progress)
+
+    def resolved(self, inference: Inference) -> Evidence:
+        """Return the evidence of a ranking with numbers in place of bounds that matter to it."""
+        evidence, solver = inference.evidence, self.settings.solver
+        is_able = Specification.parse(str(solver)).target in ADAPTING_SOLVERS
+        if not (is_able and inference.demonstrations and inference.is_open.any()):
+            return evidence
+        from swerve.resolving import resolve
+
+        names = np.flatnonzero(inference.is_open.any(axis=0)).tolist()
+        self.say(
+            "almost every trajectory enters "
+            f"{some_names([inference.hypothesis_name(index) for index in names])}: resolving what "
+            "avoiding it takes"
+        )
+        demonstrations = inference.demonstrations
+        evidence = resolve(self.nominal(), evidence, demonstrations, progress=self.progress)
+        self._save([evidence])
+        return evidence
 
     def _sample(self, tasks: Task, known: Evidence | None) -> Evidence:
         """Sample tasks; what is finished is kept, also when it is interrupted."""

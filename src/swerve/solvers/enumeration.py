@@ -96,7 +96,7 @@ class Enumeration:
         num_sequences = num_actions**num_steps if digits < 20 else math.inf
         if num_sequences > self.max_sequences:
             size = f"{num_sequences:,}" if digits < 20 else f"10^{digits:.0f}"
-            other = "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "ppo"
+            other = "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "soft-value"
             other = "tabular" if problem.mdp.space.is_lattice else other
             raise ValueError(
                 f"the enumeration solver would go through {num_actions}^{num_steps} = {size} "

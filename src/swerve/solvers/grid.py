@@ -91,6 +91,10 @@ class Grid:
         """
         return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
 
+    def adapt(self, nominal: GridNominal, problem: Problem, seed: int) -> GridNominal:
+        """Return the nominal distribution of a problem with more known constraints."""
+        return GridNominal(problem, self)
+
     def check(self, problem: Problem) -> None:
         """Raise ValueError where `learn` would."""
         self._resolution(problem)

@@ -10,15 +10,16 @@ paid. Training ends when the KL divergence that a few tasks show stops improving
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from swerve.arguments import whole_number
 from swerve.problem import Problem
-from swerve.solvers.soft_value_training import Trainer
-from swerve.solvers.training import Progress, TrainingSolver
+from swerve.solvers.soft_value_training import SoftValuePolicy, Trainer
+from swerve.solvers.training import Progress, TrainedNominal, TrainingSolver
 
 PATIENCE = 12  # chunks without improvement after which training ends
 IMPROVED = 0.97  # of the least KL so far
+ADAPTING_SHARE = 0.1  # of the steps, for one more known constraint
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,13 @@ class SoftValue(TrainingSolver):
       fade: share of the horizon in which the terminal reward fades to 1 / e of itself.
     """
 
-    num_steps: int = 50_000_000
+    num_steps: int = 36_000_000
     num_lanes: int = 512
     segment: int = 32
     explore: float = 0.5
     num_epochs: int = 2
     num_minibatches: int = 8
-    trace: float = 0.99
+    trace: float = 0.95
     learning_rate: float = 3e-3
     width: int = 160
     loss_scale: float = 5.0
@@ -82,6 +83,19 @@ class SoftValue(TrainingSolver):
     def trainer(self, problem: Problem, seed: int) -> Trainer:
         """Return what trains for a problem."""
         return Trainer(problem, self, seed)
+
+    def adapt(self, nominal: TrainedNominal, problem: Problem, seed: int) -> TrainedNominal:
+        """Return the nominal distribution of a problem with more known constraints.
+
+        Training goes on for a while with these, from what was learned without them.
+        """
+        num_steps = max(1, round(ADAPTING_SHARE * self.num_steps))
+        settings = replace(self, num_steps=num_steps)
+        trainer = settings.trainer(problem, seed)
+        assert isinstance(nominal.policy, SoftValuePolicy)
+        state = trainer.initial_state()._replace(network=nominal.policy.network)
+        state, _ = trainer.run(state, settings.num_iterations)
+        return TrainedNominal(problem, self, trainer.policy_of(state), nominal.history)
 
     def has_settled(self, history: list[Progress]) -> bool:
         """Return whether the KL has not improved for PATIENCE chunks."""

@@ -27,15 +27,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int
 
 from swerve.look_ahead import LookAhead
 from swerve.problem import Problem
 from swerve.solvers import losses
 from swerve.solvers.lanes import Lanes, fresh_lanes, over_lanes
 from swerve.solvers.networks import DenseNetwork
+from swerve.solvers.segments import Segment, minibatches, roll_segment
 from swerve.solvers.soap import soap
-from swerve.trajectory import draw_action, take_step
 
 if TYPE_CHECKING:
     from swerve.solvers.soft_value import SoftValue
@@ -87,24 +87,6 @@ class SoftValueState(NamedTuple):
     iteration: Int[Array, ""]
 
 
-class Segment(NamedTuple):
-    """What a rollout leaves: [F, N], three of [N] for the loss, and lanes; with a leading L.
-
-    Attributes:
-      features: of the states.
-      shape: what is left there of the terminal reward, nats.
-      backed: (B V)_t(s_t), nats.
-      ended: whether the episode ended with this step.
-      lanes: where they were.
-    """
-
-    features: Array
-    shape: Array
-    backed: Array
-    ended: Array
-    lanes: Lanes
-
-
 class SoftValueInfo(NamedTuple):
     """How an iteration went.
 
@@ -136,11 +118,7 @@ class Trainer:
     @partial(jax.jit, static_argnums=0)
     def visited(self, state: SoftValueState) -> Lanes:
         """Return where the lanes go in the iteration that begins in a state, [L, ..., N]."""
-        return self.rollout(self.policy_of(state), state.lanes, self.key(state))[1].lanes
-
-    def key(self, state: SoftValueState) -> Key[Array, ""]:
-        """Return the source of randomness of the iteration that begins in a state."""
-        return jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
+        return self.rollout(state)[1].lanes
 
     def initial_state(self) -> SoftValueState:
         """Return what training starts from."""
@@ -169,12 +147,12 @@ class Trainer:
 
     def iterate(self, state: SoftValueState, _: Any) -> tuple[SoftValueState, SoftValueInfo]:
         """Roll out one segment in all lanes and learn from it."""
-        lanes, segment = self.rollout(self.policy_of(state), state.lanes, self.key(state))
-        now = jax.lax.map(self.values(state.network), segment[:2])
-        residual = segment.backed - now
+        lanes, segment = self.rollout(state)
+        *inputs, backed = segment.seen
+        now = jax.lax.map(self.values(state.network), inputs)
+        residual = backed - now
         target = now + losses.discounted(residual, segment.ended, self.settings.trace)
-
-        batches = jax.tree.map(self.minibatches, (segment.features, segment.shape, target))
+        batches = tuple(minibatches(x, self.settings.num_minibatches) for x in (*inputs, target))
 
         def epoch(carry: tuple, _: Any) -> tuple[tuple, Array]:
             return jax.lax.scan(self.update, carry, batches)
@@ -184,53 +162,30 @@ class Trainer:
         info = SoftValueInfo(jnp.mean(loss), jnp.median(jnp.abs(residual)))
         return SoftValueState(*carry, lanes, state.iteration + 1), info
 
-    def rollout(
-        self, policy: SoftValuePolicy, lanes: Lanes, key: Key[Array, ""]
-    ) -> tuple[Lanes, Segment]:
-        """Roll out one segment; a lane whose episode ends goes on with a fresh one."""
-        settings, problem = self.settings, self.problem
-        key_fresh, key_actions = jax.random.split(key)
-        num_lanes = settings.num_lanes
-        fresh = jax.vmap(lambda key: fresh_lanes(problem, key, num_lanes, settings.explore))(
-            jax.random.split(key_fresh, settings.segment)
-        )
-        uniforms = jax.random.uniform(key_actions, (settings.segment, num_lanes))
-        explores = jnp.arange(num_lanes) < settings.explore * num_lanes
-        lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
+    def rollout(self, state: SoftValueState) -> tuple[Lanes, Segment]:
+        """Roll out one segment; what is seen are the inputs of V, and (B V)_t(s) [nats]."""
+        policy = self.policy_of(state)
 
-        def advance(lanes: Lanes, fresh: Lanes, uniform: Array) -> tuple[Lanes, Segment]:
+        def look(lanes: Lanes) -> tuple[Array, tuple[Array, Array, Array]]:
             log_probabilities, backed = policy.propose(*lanes)
-            action, _ = draw_action(log_probabilities, uniform)
-            taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
-            moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
-            following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
-            inputs = policy.inputs(*lanes)
-            return following, Segment(*inputs, jnp.maximum(backed, LOWEST), taken.ended, lanes)
+            return log_probabilities, (*policy.inputs(*lanes), jnp.maximum(backed, LOWEST))
 
-        return jax.lax.scan(
-            lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
-        )
-
-    def minibatches(self, column: Array) -> Array:
-        """Return a segment's [L, ..., N] as [G, ..., L N / G], steps of a batch far apart."""
-        num = self.settings.num_minibatches
-        column = column.reshape(-1, num, *column.shape[1:])
-        column = jnp.moveaxis(column, 0, -2)
-        return column.reshape(*column.shape[:-2], -1)
+        key = jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
+        return roll_segment(self.problem, self.settings, look, state.lanes, key)
 
     def values(self, network: DenseNetwork) -> Any:
         """Return what maps features [F, N] and shapes [N] to values [N]."""
         each = over_lanes(self.policy(network).value_of, -1, -1)
         return lambda inputs: each(*inputs)
 
-    def update(self, carry: tuple, batch: tuple[Array, Array, Array]) -> tuple[tuple, Array]:
+    def update(self, carry: tuple, batch: tuple[Array, ...]) -> tuple[tuple, Array]:
         """Take one optimiser step on one batch."""
         network, state = carry
         loss, gradient = jax.value_and_grad(self.loss)(network, batch)
         updates, state = self.optimiser.update(gradient, state)
         return (eqx.apply_updates(network, updates), state), loss
 
-    def loss(self, network: DenseNetwork, batch: tuple[Array, Array, Array]) -> Array:
+    def loss(self, network: DenseNetwork, batch: tuple[Array, ...]) -> Array:
         """Return the mean Huber loss of relative errors."""
         *inputs, target = batch
         scale = losses.loss_scale(target, self.settings.loss_scale)

@@ -1,6 +1,6 @@
 """What solvers that train share: a run in chunks, its history, and the nominal that it leaves.
 
-    run = Run(solver, problem, tasks, seed, checkpoint)
+    run = Run(solver, trainer, problem, tasks, seed, checkpoint)
     while (progress := run.advance()) is not None: ...
 
 After every chunk a few tasks show how far the policy is from pi_0, and a checkpoint is written. A
@@ -156,7 +156,19 @@ class TrainingSolver(abc.ABC):
             finite, training diverged from the beginning, or no episode that the MDP draws can
             begin.
         """
-        run = Run(self, problem, tasks, seed, checkpoint)
+        return self.train(self.trainer(problem, seed), problem, tasks, seed, progress, checkpoint)
+
+    def train(
+        self,
+        trainer: Trainer,
+        problem: Problem,
+        tasks: Task | None,
+        seed: int,
+        progress: bool,
+        checkpoint: Path | None,
+    ) -> TrainedNominal:
+        """Train by a trainer of this solver's, as `learn` does."""
+        run = Run(self, trainer, problem, tasks, seed, checkpoint)
         with progress_bar("training", self.num_chunks * self.chunk_steps, progress) as advance:
             advance(len(run.history) * self.chunk_steps)
             before = run.history[-1].seconds if run.history else 0.0
@@ -223,6 +235,7 @@ class Run:
 
     Args:
       solver: and its settings.
+      trainer: of the solver.
       problem: what to learn.
       tasks: those on which KL and ESS are estimated; drawn if None.
       seed: of everything random.
@@ -235,6 +248,7 @@ class Run:
     def __init__(
         self,
         solver: TrainingSolver,
+        trainer: Trainer,
         problem: Problem,
         tasks: Task | None,
         seed: int,
@@ -242,7 +256,7 @@ class Run:
     ) -> None:
         check_lanes(problem, solver.num_lanes, seed)
         self._solver, self._problem = solver, problem
-        self._trainer = solver.trainer(problem, seed)
+        self._trainer = trainer
         self._probe = Probe(problem, tasks)
         self._checkpoint = Checkpoint(checkpoint, problem, solver, seed)
         self._state = self._trainer.initial_state()

@@ -1,0 +1,103 @@
+"""Segments of episodes from which value networks learn: rollouts in all lanes, and minibatches.
+
+Lanes that explore start anew, anywhere at any time, with every segment; the others go on from where
+they were until their episode ends.
+
+Shapes: N lanes, L steps of a segment, G minibatches, A actions. The batch is the last axis of every
+array.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from swerve.problem import Problem
+from swerve.solvers.lanes import Lanes, fresh_lanes, over_lanes
+from swerve.trajectory import draw_action, take_step
+
+
+class Sizes(Protocol):
+    """The settings that a segment depends on."""
+
+    @property
+    def num_lanes(self) -> int:
+        """N."""
+        ...
+
+    @property
+    def segment(self) -> int:
+        """L."""
+        ...
+
+    @property
+    def explore(self) -> float:
+        """Share of the lanes that start anywhere at any time."""
+        ...
+
+
+class Segment(NamedTuple):
+    """What a rollout leaves, all [L, ..., N].
+
+    Attributes:
+      seen: what `look` wants to keep of each step.
+      ended: whether the episode ended with this step.
+      lanes: where they were.
+    """
+
+    seen: Any
+    ended: Array
+    lanes: Lanes
+
+
+def roll_segment(
+    problem: Problem,
+    sizes: Sizes,
+    look: Callable[[Lanes], tuple[Array, Any]],
+    lanes: Lanes,
+    key: Key[Array, ""],
+) -> tuple[Lanes, Segment]:
+    """Roll out one segment in all lanes; one whose episode ends goes on with a fresh one.
+
+    Args:
+      problem: the MDP and known constraints.
+      sizes: how many lanes, of which how many explore, and how many steps.
+      look: gives for one lane log pi of every action, and what to keep.
+      lanes: where they are.
+      key: source of randomness.
+
+    Returns:
+      Where the lanes are then, and the segment.
+    """
+    key_fresh, key_actions = jax.random.split(key)
+    num_lanes = sizes.num_lanes
+    fresh = jax.vmap(lambda key: fresh_lanes(problem, key, num_lanes, sizes.explore))(
+        jax.random.split(key_fresh, sizes.segment)
+    )
+    uniforms = jax.random.uniform(key_actions, (sizes.segment, num_lanes))
+    explores = jnp.arange(num_lanes) < sizes.explore * num_lanes
+    lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
+
+    def advance(lanes: Lanes, fresh: Lanes, uniform: Array) -> tuple[Lanes, Segment]:
+        log_probabilities, seen = look(lanes)
+        action, _ = draw_action(log_probabilities, uniform)
+        taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
+        moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
+        following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
+        return following, Segment(seen, taken.ended, lanes)
+
+    return jax.lax.scan(
+        lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
+    )
+
+
+def minibatches(column: Array, num_minibatches: int) -> Array:
+    """Return a segment's [L, ..., N] as [G, ..., L N / G], steps of a batch far apart."""
+    column = column.reshape(-1, num_minibatches, *column.shape[1:])
+    column = jnp.moveaxis(column, 0, -2)
+    return column.reshape(*column.shape[:-2], -1)

@@ -1,0 +1,84 @@
+"""Direct policies distilled from soft values: against enumeration, and beside their teacher."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference import CART_TASK, enumerate_exactly, short_cart
+from test_smc import assert_within_errors
+
+from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
+from swerve.solvers.distilled_training import DirectPolicy
+from swerve.solvers.training import TrainedNominal
+
+PROBLEM = short_cart()
+TEACHER = SoftValue(num_steps=600_000, num_lanes=256, segment=8, num_minibatches=2, width=32)
+STUDENT = Distilled(num_steps=600_000, num_lanes=256, segment=8, num_minibatches=2, width=32)
+TINY = Distilled(num_steps=8_000, num_lanes=16, segment=8, width=8)
+
+
+@cache
+def teacher() -> TrainedNominal:
+    nominal = learn(PROBLEM, TEACHER)
+    assert isinstance(nominal, TrainedNominal)
+    return nominal
+
+
+@cache
+def student() -> TrainedNominal:
+    return STUDENT.imitate(teacher())
+
+
+def test_agrees_with_enumeration() -> None:
+    evidence = sample(student(), CART_TASK, 20_000)
+    assert evidence.method == "smc"
+    assert evidence.effective_sample_size[0] > 4_000
+    assert_within_errors(evidence, enumerate_exactly(PROBLEM, *CART_TASK))
+
+
+def test_does_nearly_as_its_teacher_everywhere() -> None:
+    tasks = [Task([0.3, 0.3], [-0.2, 0.2]), Task([-1.0, 0.5], [1.0, 0.0])]
+    by_teacher, by_student = (
+        sample(nominal, tasks, 4_000, method="importance") for nominal in (teacher(), student())
+    )
+    assert (by_teacher.kl < 0.1).all()
+    assert (by_student.kl < by_teacher.kl + 0.2).all()
+    np.testing.assert_allclose(by_student.soft_value, by_teacher.soft_value, atol=0.3)
+
+
+def test_asks_one_network_once_a_step() -> None:
+    policy = student().policy
+    assert isinstance(policy, DirectPolicy)
+    assert policy.network.weights[-1].shape[0] == PROBLEM.mdp.num_actions + 1
+
+
+def test_saved_policy_samples_the_same(tmp_path: Path) -> None:
+    save_nominal(tmp_path / "nominal", student())
+    again = load_nominal(tmp_path / "nominal", PROBLEM)
+    assert again.solver == STUDENT
+    first, second = (sample(nominal, CART_TASK, 500) for nominal in (student(), again))
+    np.testing.assert_array_equal(first.log_weight, second.log_weight)
+
+
+def test_finished_distillation_is_not_done_again(tmp_path: Path) -> None:
+    whole = TINY.imitate(teacher(), seed=3, checkpoint=tmp_path / "whole")
+    again = TINY.imitate(teacher(), seed=3, checkpoint=tmp_path / "whole")
+    for name, array in whole.arrays().items():
+        np.testing.assert_array_equal(again.arrays()[name], array)
+
+
+def test_what_has_no_value_cannot_be_imitated() -> None:
+    tiny = PPO(num_steps=4_000, num_lanes=16, segment=8, num_minibatches=2, width=8)
+    for other in (learn(PROBLEM, tiny), learn(PROBLEM, Grid(num_points=21))):
+        with pytest.raises(ValueError, match=r"expected what swerve.SoftValue\(\) learned, got"):
+            TINY.imitate(other)
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(ValueError, match="num_minibatches: expected a divisor of the segment 30"):
+        Distilled(segment=30)
+    with pytest.raises(ValueError, match="width: expected a whole number >= 1, got 0"):
+        Distilled(width=0)
