@@ -11,11 +11,14 @@ from reference import CART_TASK, enumerate_exactly, short_cart
 from test_smc import assert_within_errors
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
+from swerve.settings import Settings
 from swerve.solvers.distilled_training import DirectPolicy
 from swerve.solvers.training import TrainedNominal
+from swerve.work import Work
 
 PROBLEM = short_cart()
-TEACHER = SoftValue(num_steps=600_000, num_lanes=256, segment=8, num_minibatches=2, width=32)
+TEACHER_SETTINGS = {"num_steps": 600_000, "num_lanes": 256, "segment": 8, "num_minibatches": 2}
+TEACHER = SoftValue(**TEACHER_SETTINGS, width=32)
 STUDENT = Distilled(num_steps=600_000, num_lanes=256, segment=8, num_minibatches=2, width=32)
 TINY = Distilled(num_steps=8_000, num_lanes=16, segment=8, width=8)
 
@@ -68,6 +71,25 @@ def test_finished_distillation_is_not_done_again(tmp_path: Path) -> None:
     again = TINY.imitate(teacher(), seed=3, checkpoint=tmp_path / "whole")
     for name, array in whole.arrays().items():
         np.testing.assert_array_equal(again.arrays()[name], array)
+
+
+def test_the_work_folder_distils_the_soft_value_that_it_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = f"soft-value?{'&'.join(f'{k}={v}' for k, v in TEACHER_SETTINGS.items())}"
+    said: list[str] = []
+
+    def work(solver: str) -> Work:
+        return Work("test_distilled:PROBLEM", tmp_path, Settings(solver), say=said.append)
+
+    monkeypatch.setattr(Work, "_teacher", property(lambda self: work(text)))
+    work(text).nominal()
+    student = work("distilled?num_steps=8000&num_lanes=16&segment=8&width=8")
+    evidence = student.evidence(Task.stack([CART_TASK]))
+    assert evidence.method == "smc"
+    assert evidence.solver.startswith("Distilled(")
+    assert sum("learning with soft-value" in line for line in said) == 1
+    assert student.settings.solver == Work("test_distilled:PROBLEM", tmp_path).settings.solver
 
 
 def test_what_has_no_value_cannot_be_imitated() -> None:

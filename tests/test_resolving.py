@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +16,10 @@ from swerve import (
     Demonstration,
     Evidence,
     Grid,
+    Inference,
     Problem,
     SoftValue,
+    Task,
     Union,
     infer,
     learn,
@@ -24,9 +27,14 @@ from swerve import (
     sample,
 )
 from swerve.constraints import violates
+from swerve.settings import Settings
+from swerve.work import Work
 
 RARE = 17  # 5e-6 of the nominal trajectories avoid this cell
 TRAINED = SoftValue(num_steps=2_000_000, num_lanes=256, segment=8, width=64, num_minibatches=2)
+
+
+rare_cart = short_cart(beta=2.0)
 
 
 def exact_log_ratio(problem: Problem, index: int) -> float:
@@ -58,7 +66,7 @@ def round_about(problem: Problem, index: int) -> Demonstration:
 
 @pytest.mark.parametrize("solver", [Grid(num_points=121), TRAINED], ids=["grid", "soft-value"])
 def test_one_in_hundred_thousands_is_told_within_a_fifth(solver: Grid | SoftValue) -> None:
-    problem = short_cart(beta=2.0)
+    problem = rare_cart
     truth = exact_log_ratio(problem, RARE)
     assert 1e-6 < math.exp(truth) < 1e-5
     demonstration = round_about(problem, RARE)
@@ -78,8 +86,8 @@ def test_one_in_hundred_thousands_is_told_within_a_fifth(solver: Grid | SoftValu
     )
 
 
-def test_what_was_resolved_is_kept(tmp_path) -> None:
-    problem = short_cart(beta=2.0)
+def test_what_was_resolved_is_kept(tmp_path: Path) -> None:
+    problem = rare_cart
     demonstration = round_about(problem, RARE)
     nominal = learn(problem, "grid?num_points=61")
     evidence = resolve(nominal, sample(nominal, CART_TASK, 500), [demonstration])
@@ -88,6 +96,23 @@ def test_what_was_resolved_is_kept(tmp_path) -> None:
     again = Evidence.load(tmp_path / "evidence")
     np.testing.assert_array_equal(again.log_ratio, evidence.log_ratio)
     np.testing.assert_array_equal(again.is_resolved, evidence.is_resolved)
+
+
+def test_the_work_folder_resolves_once(tmp_path: Path) -> None:
+    demonstration, said = round_about(rare_cart, RARE), []
+
+    def rank() -> Inference:
+        settings = Settings("grid?num_points=61", num_trajectories=500)
+        work = Work("test_resolving:rare_cart", tmp_path / "work", settings, say=said.append)
+        result = infer(work.evidence(Task.stack([CART_TASK])), [demonstration])
+        return infer(work.resolved(result), [demonstration])
+
+    first = rank()
+    assert not first.is_lower_bound[RARE]
+    assert any("resolving" in line and first.hypothesis_name(RARE) in line for line in said)
+    said.clear()
+    assert rank().log_likelihood[RARE] == first.log_likelihood[RARE]
+    assert not said
 
 
 def test_a_bound_remains_where_nothing_avoids_it() -> None:
@@ -106,7 +131,7 @@ def test_a_bound_remains_where_nothing_avoids_it() -> None:
 
 
 def test_what_cannot_be_done_is_said() -> None:
-    problem = short_cart(beta=2.0)
+    problem = rare_cart
     nominal = learn(problem, "enumeration")
     evidence = sample(nominal, CART_TASK)
     with pytest.raises(ValueError, match=r"soft value that adapts \(grid, soft-value\), got 'enum"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from functools import cache
 from pathlib import Path
@@ -76,6 +77,48 @@ def test_one_network_is_for_every_start_and_goal() -> None:
         truth = enumerate_exactly(problem, *(np.asarray(x, float) for x in task))
         exact_kl = truth.log_partition - evidence.importance_log_weight[k].mean()
         assert exact_kl < 0.2
+
+
+@cache
+def spanning() -> TrainedNominal:
+    """One network for beta from a half to twice the problem's."""
+    solver = dataclasses.replace(SMALL, num_steps=1_000_000, beta_span=2.0)
+    nominal = learn(short_cart(beta=1.0), solver)
+    assert isinstance(nominal, TrainedNominal)
+    return nominal
+
+
+@pytest.mark.parametrize("beta", [0.5, 1.0, 1.6, 2.0])
+def test_one_network_is_for_a_span_of_beta(beta: float) -> None:
+    truth = enumerate_exactly(short_cart(beta=beta), *CART_TASK)
+    evidence = sample(spanning(), CART_TASK, 10_000, beta=beta)
+    assert evidence.method == "smc"
+    assert evidence.problem.fingerprint == short_cart(beta=beta).record.fingerprint
+    weighed = sample(spanning().at_beta(beta), CART_TASK, 10_000, method="importance")
+    assert truth.log_partition - weighed.importance_log_weight.mean() < 0.2
+    assert weighed.soft_value[0] == pytest.approx(truth.log_partition, abs=0.3)
+    assert evidence.log_partition[0] == pytest.approx(truth.log_partition, abs=0.03)
+    np.testing.assert_allclose(
+        evidence.violation_probability[0], truth.violation_probability, atol=0.03
+    )
+
+
+def test_another_beta_is_stored_and_read(tmp_path: Path) -> None:
+    nominal = spanning().at_beta(1.6)
+    save_nominal(tmp_path / "nominal", nominal)
+    again = load_nominal(tmp_path / "nominal", short_cart(beta=1.6))
+    first, second = (sample(each, CART_TASK, 500) for each in (nominal, again))
+    np.testing.assert_allclose(first.log_weight, second.log_weight, atol=1e-4)
+
+
+def test_beyond_the_span_samples_are_tempered() -> None:
+    with pytest.raises(ValueError, match=r"expected one from 0.5 to 2, which the soft value was"):
+        spanning().at_beta(3.0)
+    assert sample(spanning(), CART_TASK, 500, beta=3.0).method == "tempered"
+    with pytest.raises(ValueError, match="beta: expected a finite number > 0, got 0"):
+        spanning().at_beta(0.0)
+    with pytest.raises(ValueError, match=r"beta_span: expected a number >= 1, got 0.5"):
+        SoftValue(beta_span=0.5)
 
 
 def test_both_routes_are_found() -> None:

@@ -39,6 +39,11 @@ class ValuedPolicy(eqx.Module):
 
     problem: eqx.AbstractVar[Problem]
 
+    @property
+    def beta(self) -> float | Float[Array, ""]:
+        """Inverse temperature that it is for: the problem's."""
+        return self.problem.beta
+
     @abc.abstractmethod
     def propose(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -80,7 +85,7 @@ class LookAhead(ValuedPolicy):
             ahead = jnp.where(taken.ended, 0.0, self.value(taken.state, step + 1, goal))
             forbidden = jnp.isneginf(taken.reward)
             reward = jnp.where(forbidden, 0.0, taken.reward)
-            return jnp.where(forbidden, FORBIDDEN, problem.beta * reward + ahead)
+            return jnp.where(forbidden, FORBIDDEN, self.beta * reward + ahead)
 
         return jax.vmap(look)(jnp.arange(problem.mdp.num_actions))
 

@@ -37,6 +37,7 @@ from swerve.samples import (
     TEMPERED,
     summarise,
 )
+from swerve.solvers.training import TrainedNominal
 from swerve.space import Task
 from swerve.tasks import checked_tasks
 
@@ -62,10 +63,11 @@ def sample(
         weight on the way as well (sequential Monte Carlo; N is then rounded up to a multiple of
         20), for solvers with a soft value, and the default of "soft-value"; "plain" weighs all
         alike, as the paper does. Solvers that give exact answers take none of these.
-      beta: of the demonstrator, where it is not the one that was learned for. The trajectories are
-        brought there by way of as many temperatures between as it takes (the paper, Theorem 2; see
-        `tempering`), whatever the policy; `Evidence.at_beta` is quicker where it is near. `method`
-        is left out then.
+      beta: of the demonstrator, where it is not the one that was learned for. A soft value that
+        was learned for a span of beta is used as it is; else the trajectories are brought there by
+        way of as many temperatures between as it takes (the paper, Theorem 2; see `tempering`),
+        whatever the policy, and `method` is left out. `Evidence.at_beta` is quicker where beta is
+        near.
       seed: of the sampling. A task's trajectories depend on the seed and the task alone, not on
         the other tasks of the call.
       progress: whether to show a progress bar.
@@ -108,6 +110,9 @@ def sample_each(
     """
     if beta is not None:
         beta = positive_number(beta, "beta")
+        if isinstance(nominal, TrainedNominal) and nominal.covers(beta):
+            nominal, beta = nominal.at_beta(beta), None
+    if beta is not None:
         if method not in (None, TEMPERED):
             raise ValueError(
                 f"method: another beta than the one learned for is reached by {TEMPERED!r}, so "

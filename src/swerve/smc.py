@@ -106,7 +106,7 @@ def smc_rollout(
         owed=zeros,
     )
     propose = jax.vmap(policy.propose, (-1, None, None), -1)
-    move = jax.vmap(partial(_move, policy.problem), (-1, -1, None, None, -1), -1)
+    move = jax.vmap(partial(_move, policy.problem, policy.beta), (-1, -1, None, None, -1), -1)
 
     def advance(carry: tuple[_Particle, Array], x: tuple) -> tuple[tuple[_Particle, Array], tuple]:
         (particles, log_mean), (step, uniform, offset) = carry, x
@@ -130,6 +130,7 @@ def smc_rollout(
 
 def _move(
     problem: Problem,
+    beta: float | Float[Array, ""],
     particle: _Particle,
     proposed: tuple[Array, Array],
     step: Array,
@@ -141,7 +142,7 @@ def _move(
     action, log_probability = draw_action(log_probabilities, uniform)
     taken = take_step(problem, particle.state, action, step, goal)
     allowed = ~jnp.isneginf(taken.reward)
-    reward = jnp.where(allowed, problem.beta * taken.reward, -jnp.inf)
+    reward = jnp.where(allowed, beta * taken.reward, -jnp.inf)
     per_step = log_measure(problem)
     active = ~particle.ended
     moved = particle._replace(

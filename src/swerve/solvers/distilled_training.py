@@ -133,7 +133,7 @@ class Trainer:
         teacher = self.teacher
         assert teacher is not None
 
-        def look(lanes: Lanes) -> tuple[Array, tuple[Array, Array, Array]]:
+        def look(lanes: Lanes, place: Array) -> tuple[Array, tuple[Array, Array, Array]]:
             log_probabilities, value = teacher.propose(*lanes)
             features = self.problem.mdp.features(*lanes)
             return log_probabilities, (features, log_probabilities, jnp.maximum(value, LOWEST))

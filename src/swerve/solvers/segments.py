@@ -21,6 +21,8 @@ from swerve.problem import Problem
 from swerve.solvers.lanes import Lanes, fresh_lanes, over_lanes
 from swerve.trajectory import draw_action, take_step
 
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, modulo 1, spread evenly over any part of them
+
 
 class Sizes(Protocol):
     """The settings that a segment depends on."""
@@ -58,7 +60,7 @@ class Segment(NamedTuple):
 def roll_segment(
     problem: Problem,
     sizes: Sizes,
-    look: Callable[[Lanes], tuple[Array, Any]],
+    look: Callable[[Lanes, Array], tuple[Array, Any]],
     lanes: Lanes,
     key: Key[Array, ""],
 ) -> tuple[Lanes, Segment]:
@@ -67,7 +69,8 @@ def roll_segment(
     Args:
       problem: the MDP and known constraints.
       sizes: how many lanes, of which how many explore, and how many steps.
-      look: gives for one lane log pi of every action, and what to keep.
+      look: gives for one lane log pi of every action, and what to keep. Its second argument is a
+        number from 0 to 1 that stays with the lane; those of all lanes are spread evenly.
       lanes: where they are.
       key: source of randomness.
 
@@ -83,8 +86,10 @@ def roll_segment(
     explores = jnp.arange(num_lanes) < sizes.explore * num_lanes
     lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
 
-    def advance(lanes: Lanes, fresh: Lanes, uniform: Array) -> tuple[Lanes, Segment]:
-        log_probabilities, seen = look(lanes)
+    place = (jnp.arange(num_lanes) * GOLDEN) % 1.0
+
+    def advance(lanes: Lanes, fresh: Lanes, uniform: Array, place: Array) -> tuple[Lanes, Segment]:
+        log_probabilities, seen = look(lanes, place)
         action, _ = draw_action(log_probabilities, uniform)
         taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
         moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
@@ -92,7 +97,9 @@ def roll_segment(
         return following, Segment(seen, taken.ended, lanes)
 
     return jax.lax.scan(
-        lambda lanes, x: over_lanes(advance, -1, -1, -1)(lanes, *x), lanes, (fresh, uniforms)
+        lambda lanes, x: over_lanes(advance, -1, -1, -1, -1)(lanes, *x, place),
+        lanes,
+        (fresh, uniforms),
     )
 
 

@@ -10,7 +10,10 @@ paid. Training ends when the KL divergence that a few tasks show stops improving
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from swerve.arguments import whole_number
 from swerve.problem import Problem
@@ -19,6 +22,7 @@ from swerve.solvers.training import Progress, TrainedNominal, TrainingSolver
 
 PATIENCE = 12  # chunks without improvement after which training ends
 IMPROVED = 0.97  # of the least KL so far
+SLACK = 1e-6  # relative, at the ends of the span of beta
 ADAPTING_SHARE = 0.1  # of the steps, for one more known constraint
 
 
@@ -38,6 +42,8 @@ class SoftValue(TrainingSolver):
       width: of the two hidden layers.
       loss_scale: nats; errors are divided by 1 + |target| / this.
       fade: share of the horizon in which the terminal reward fades to 1 / e of itself.
+      beta_span: one network serves every beta from the problem's divided by this to that times it,
+        which takes longer to learn as well; 1 for that of the problem alone.
     """
 
     num_steps: int = 36_000_000
@@ -51,6 +57,7 @@ class SoftValue(TrainingSolver):
     width: int = 160
     loss_scale: float = 5.0
     fade: float = 0.04
+    beta_span: float = 1.0
 
     name = "soft-value"
 
@@ -74,11 +81,46 @@ class SoftValue(TrainingSolver):
                 raise ValueError(
                     f"SoftValue: {field}: expected a number from 0 to 1, got {getattr(self, field)}"
                 )
+        if not (math.isfinite(self.beta_span) and self.beta_span >= 1.0):
+            raise ValueError(f"SoftValue: beta_span: expected a number >= 1, got {self.beta_span}")
         for field in ("learning_rate", "loss_scale", "fade"):
             if not getattr(self, field) > 0.0:
                 raise ValueError(
                     f"SoftValue: {field}: expected a number > 0, got {getattr(self, field)}"
                 )
+
+    def at_beta(self, nominal: TrainedNominal, beta: float) -> TrainedNominal:
+        """Return the nominal distribution for another beta of the span.
+
+        Raises:
+          ValueError: if beta is beyond the span.
+        """
+        assert isinstance(nominal.policy, SoftValuePolicy)
+        learned_for = nominal.policy.problem.beta
+        if not self.covers(nominal, beta):
+            low, high = learned_for / self.beta_span, learned_for * self.beta_span
+            raise ValueError(
+                f"beta: expected one from {low:g} to {high:g}, which the soft value was learned "
+                f"for, got {beta:g}: learn with a larger beta_span, or let "
+                "swerve.sample(nominal, tasks, beta=...) go on from there"
+            )
+        problem = replace(nominal.problem, beta=beta)
+        policy = nominal.policy.at(math.log(beta / learned_for))
+        return replace(nominal, problem=problem, policy=policy)
+
+    def covers(self, nominal: TrainedNominal, beta: float) -> bool:
+        """Return whether a nominal distribution was learned for a beta too."""
+        assert isinstance(nominal.policy, SoftValuePolicy)
+        distance = abs(math.log(beta / nominal.policy.problem.beta))
+        return distance <= math.log(self.beta_span) + SLACK
+
+    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TrainedNominal:
+        """Return the nominal distribution whose `arrays` were stored."""
+        nominal = super().restore(problem, arrays)
+        policy = nominal.policy
+        assert isinstance(policy, SoftValuePolicy)
+        learned_for = replace(problem, beta=problem.beta / math.exp(policy.log_beta))
+        return replace(nominal, policy=replace(policy, problem=learned_for))
 
     def trainer(self, problem: Problem, seed: int) -> Trainer:
         """Return what trains for a problem."""

@@ -19,6 +19,7 @@ dimensions. The batch is the last axis of every array.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -49,11 +50,22 @@ class SoftValuePolicy(LookAhead):
 
     Attributes:
       settings: of the solver; the scale of values and how the terminal shape fades.
+      log_beta: log of the beta that it is for, relative to the problem's.
     """
 
     problem: Problem = eqx.field(static=True)
     settings: SoftValue = eqx.field(static=True)
     network: DenseNetwork
+    log_beta: Float[Array, ""]
+
+    @property
+    def beta(self) -> Float[Array, ""]:
+        """Inverse temperature that it is for."""
+        return self.problem.beta * jnp.exp(self.log_beta)
+
+    def at(self, log_beta: float | Float[Array, ""]) -> SoftValuePolicy:
+        """Return the policy for another beta, by its log relative to the problem's."""
+        return SoftValuePolicy(self.problem, self.settings, self.network, jnp.asarray(log_beta))
 
     def value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -67,9 +79,13 @@ class SoftValuePolicy(LookAhead):
         """Return the features of a state, and beta r_T as far as it has not faded [nats]."""
         mdp, settings = self.problem.mdp, self.settings
         share_to_go = (mdp.num_steps - step) / mdp.num_steps
-        terminal = jnp.maximum(self.problem.beta * mdp.terminal_reward(state, goal), LOWEST)
+        terminal = jnp.maximum(self.beta * mdp.terminal_reward(state, goal), LOWEST)
         shape = terminal * jnp.exp(-share_to_go / settings.fade)
-        return mdp.features(state, step, goal), shape
+        features = mdp.features(state, step, goal)
+        if settings.beta_span > 1.0:
+            place = self.log_beta / math.log(settings.beta_span)
+            features = jnp.append(features, place)
+        return features, shape
 
     def value_of(self, features: Float[Array, " F"], shape: Float[Array, ""]) -> Float[Array, ""]:
         """Return V of what `inputs` returns."""
@@ -109,7 +125,7 @@ class Trainer:
 
     def policy(self, network: DenseNetwork) -> SoftValuePolicy:
         """Return the look-ahead policy of a network."""
-        return SoftValuePolicy(self.problem, self.settings, network)
+        return SoftValuePolicy(self.problem, self.settings, network, jnp.zeros(()))
 
     def policy_of(self, state: SoftValueState) -> SoftValuePolicy:
         """Return the look-ahead policy of what was learned."""
@@ -126,7 +142,8 @@ class Trainer:
         key_network, key_lanes = jax.random.split(jax.random.key(self.seed))
         lanes = fresh_lanes(self.problem, key_lanes, settings.num_lanes, settings.explore)
         features = over_lanes(self.problem.mdp.features, -1, -1, -1)(*lanes)
-        sizes = (features.shape[0], settings.width, settings.width, 1)
+        num_inputs = features.shape[0] + (settings.beta_span > 1.0)
+        sizes = (num_inputs, settings.width, settings.width, 1)
         network = DenseNetwork(sizes, 0.1, key=key_network)
         optimiser = self.optimiser.init(cast(Any, network))
         return SoftValueState(network, optimiser, lanes, jnp.int32(0))
@@ -166,9 +183,10 @@ class Trainer:
         """Roll out one segment; what is seen are the inputs of V, and (B V)_t(s) [nats]."""
         policy = self.policy_of(state)
 
-        def look(lanes: Lanes) -> tuple[Array, tuple[Array, Array, Array]]:
-            log_probabilities, backed = policy.propose(*lanes)
-            return log_probabilities, (*policy.inputs(*lanes), jnp.maximum(backed, LOWEST))
+        def look(lanes: Lanes, place: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+            at_beta = policy.at((2.0 * place - 1.0) * math.log(self.settings.beta_span))
+            log_probabilities, backed = at_beta.propose(*lanes)
+            return log_probabilities, (*at_beta.inputs(*lanes), jnp.maximum(backed, LOWEST))
 
         key = jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)
         return roll_segment(self.problem, self.settings, look, state.lanes, key)

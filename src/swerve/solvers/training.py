@@ -25,6 +25,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from swerve.arguments import positive_number
 from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.solvers.checkpoints import Checkpoint
@@ -112,6 +113,21 @@ class TrainingSolver(abc.ABC):
     @abc.abstractmethod
     def has_settled(self, history: list[Progress]) -> bool:
         """Return whether training may end before its last step."""
+
+    def at_beta(self, nominal: TrainedNominal, beta: float) -> TrainedNominal:
+        """Return what was learned for another beta too; solvers that can override this.
+
+        Raises:
+          ValueError: if that is not so.
+        """
+        raise ValueError(
+            f"beta: the {self.name} solver learns for one alone, {nominal.problem.beta:g}: use "
+            f"swerve.sample(nominal, tasks, beta={beta:g})"
+        )
+
+    def covers(self, nominal: TrainedNominal, beta: float) -> bool:
+        """Return whether `at_beta` knows a beta."""
+        return False
 
     @property
     def chunk_iterations(self) -> int:
@@ -215,6 +231,18 @@ class TrainedNominal:
         for _ in goals:
             advance(1.0)
             yield self.policy
+
+    def at_beta(self, beta: float) -> TrainedNominal:
+        """Return the same for another beta, where one network was trained for a span of them.
+
+        Raises:
+          ValueError: if the solver is not `SoftValue`, or beta is beyond its `beta_span`.
+        """
+        return self.solver.at_beta(self, positive_number(beta, "beta"))
+
+    def covers(self, beta: float) -> bool:
+        """Return whether `at_beta` knows a beta."""
+        return self.solver.covers(self, beta)
 
     def plot_training(self, path: str | Path | None = None) -> Any:
         """Draw KL, ESS and residual against the time and the steps of training.
