@@ -28,7 +28,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from swerve import PPO, Grid, grid, learn
+from swerve import PPO, Distilled, Grid, SoftValue, Task, grid, learn, sample
 from swerve.demo import FOLDER, PROBLEM
 from swerve.drawing import CHUNK
 from swerve.solvers.grid import GridNominal
@@ -106,16 +106,28 @@ def backward_pass() -> dict[str, float]:
     }
 
 
+def untrained() -> dict[str, TrainedNominal]:
+    """Return networks that have learned next to nothing, which are as quick as others."""
+    problem = load_problem(PROBLEM)
+    sizes = {"num_steps": 1, "num_lanes": 8, "segment": 8}
+    soft_value = SoftValue(**sizes).learn(problem)
+    return {
+        "PPO": PPO(**sizes).learn(problem),
+        "soft value, look-ahead": soft_value,
+        "soft value, distilled": Distilled(**sizes).imitate(soft_value),
+    }
+
+
 def rollouts() -> dict[str, float]:
-    """Time rollouts of the 64 x 64 policy and of the look-ahead policy [steps/s]."""
+    """Time rollouts of each kind of policy, on all cores [steps/s]."""
     problem = load_problem(PROBLEM)
     workers = len(os.sched_getaffinity(0))
     start, goal = jnp.array([1.0, 0.5]), jnp.array([3.0, 0.0])
-    network = learn(problem, PPO(num_steps=1, num_lanes=8, segment=1))
-    lookahead = next(Grid().learn(problem).policies(np.asarray(goal)[None]))
-    assert isinstance(network, TrainedNominal)
+    policies = {name: nominal.policy for name, nominal in untrained().items()}
+    policies["grid"] = next(Grid().learn(problem).policies(np.asarray(goal)[None]))
     figures = {}
-    for name, policy, chunks in (("64 x 64", network.policy, 32), ("look-ahead", lookahead, 4)):
+    for name, policy in policies.items():
+        chunks = 32 if name in ("PPO", "soft value, distilled") else 4
 
         def one(seed: int, policy: Any = policy) -> None:
             drawn = rollout(problem, policy, start, goal, jax.random.key(seed), CHUNK)
@@ -124,7 +136,20 @@ def rollouts() -> dict[str, float]:
         one(0)
         with ThreadPoolExecutor(workers) as pool:
             best = seconds(lambda c=chunks, o=one: list(pool.map(o, range(c))), 3)
-        figures[f"rollouts, {name} policy (steps/s)"] = chunks * CHUNK * 300 / best
+        figures[f"rollouts, {name} (steps/s)"] = chunks * CHUNK * 300 / best
+    return figures
+
+
+def new_task() -> dict[str, float]:
+    """Time 10,000 judged trajectories of one more task, network given and compiled [s]."""
+    task = Task([1.0, 0.5], [3.0, 0.0])
+    figures = {}
+    for name, nominal in untrained().items():
+        if name == "PPO":
+            continue
+        sample(nominal, task, 10_000, method="smc")
+        best = seconds(lambda n=nominal: sample(n, task, 10_000, method="smc", seed=1), 3)
+        figures[f"10,000 trajectories of a task by SMC, {name} (s)"] = best
     return figures
 
 
@@ -165,6 +190,7 @@ def main() -> None:
         judging,
         backward_pass,
         rollouts,
+        new_task,
         training,
         stable_baselines,
     )

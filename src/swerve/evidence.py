@@ -134,6 +134,8 @@ class Evidence:
     @property
     def _estimate(self) -> estimators.LogRatio:
         summary = self.summary
+        if self.is_exact:
+            return estimators.LogRatio(summary.log_ratio, summary.log_ratio_error)
         estimate = estimators.Estimate(summary.avoid_probability, summary.avoid_variance)
         sampled = estimators.log_ratio(estimate, self.resolution)
         known, error = self.is_resolved, summary.log_ratio_error

@@ -253,7 +253,9 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
         return "The grid is too coarse for this problem: give it more num_points"
     return (
         "The policy is far from pi_0: train it longer, or use the grid solver where the state "
-        "has at most 3 dimensions"
+        "has at most 3 dimensions. Where rewards are too sharp to be learned, learn for a lower "
+        "beta and reach this one by temperatures between: swerve.sample(nominal, tasks, "
+        f"beta={evidence.problem.beta:g})"
     )
 
 
