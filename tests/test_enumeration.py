@@ -399,7 +399,7 @@ def test_another_solver_is_named_that_takes_the_dimensions() -> None:
         def dynamics(self, state, action):
             return state
 
-    with pytest.raises(ValueError, match=r"3\^7 = 2,187 .* or use solver 'ppo'"):
+    with pytest.raises(ValueError, match=r"3\^7 = 2,187 .* or use solver 'soft-value'"):
         learn(Problem(Wide(), grid(x=(-1.0, 1.0, 2))), Enumeration(max_sequences=100))
 
 

@@ -26,8 +26,8 @@ def training(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(sys, "path", [*sys.path, str(ROOT / "benchmarks")])  # as when it is run
     module = importlib.import_module("benchmarks.training")
     small = (
-        SoftValue(num_lanes=16, segment=4, width=8),
-        PPO(num_lanes=16, segment=4, num_minibatches=2, width=8),
+        SoftValue(num_lanes=16, segment=8, width=8),
+        PPO(num_lanes=16, segment=8, num_minibatches=2, width=8),
     )
     monkeypatch.setattr(module, "SOLVERS", small)
     monkeypatch.setattr(
@@ -59,13 +59,13 @@ def test_prints_and_draws_how_far_each_solver_is(
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda self, path, dpi: drawn.append(self))
     monkeypatch.setattr(training, "steps_per_second", lambda solver, truth: 5_000.0)
-    given = ["--data", data, "--seconds", 0.128, "--every", 4, "--samples", 60, "--json"]
+    given = ["--data", data, "--seconds", 0.256, "--every", 4, "--samples", 60, "--json"]
     figure = data / "curves.png"
     monkeypatch.setattr("sys.argv", ["training.py", *map(str, [*given, "--figure", figure])])
     training.main()
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [row.pop("solver") for row in rows] == ["soft-value"] * 3 + ["ppo"] * 3
-    assert [row["steps"] for row in rows] == [256, 512, 640] * 2  # of 10 chunks 4, 8 and the last
+    assert [row["steps"] for row in rows] == [512, 1024, 1280] * 2  # of 10 chunks 4, 8 and the last
     for row in rows:
         assert list(row) == COLUMNS
         assert row["median_kl"] <= row["worst_kl"]
@@ -82,7 +82,7 @@ def test_prints_and_draws_how_far_each_solver_is(
 def test_compares_with_the_truth(training: ModuleType, data: Path) -> None:
     """At the same task twice only what is said to be exact differs."""
     truth = training.read_truth(data, "10")
-    run = training.Run(training.SOLVERS[1], truth.problem, truth.tasks, 0, None)
+    run = training.new_run(training.SOLVERS[1], truth)
     nominal = training.TrainedNominal(truth.problem, training.SOLVERS[1], run.policy, np.ones((1,)))
     found = training.row(nominal, Progress(1.5, 64.0, *[0.0] * 4), truth, 60)
     assert found["seconds"] == 1.5
