@@ -85,7 +85,7 @@ def learned(problem: Problem, solver: SoftValue, file: Path | None) -> tuple[Nom
 def measure(system: System, solver: SoftValue, folder: Path | None, num: int) -> dict[str, Any]:
     """Return figures about a system."""
     problem = load_problem(system.name)
-    file = None if folder is None else folder / f"{system.name}.nominal"
+    file = None if folder is None else folder / f"{system.name}.{solver.num_steps}.nominal"
     nominal, seconds = learned(problem, solver, file)
     tasks = draw_tasks(problem, NUM_TASKS)
     weighed = sample(nominal, tasks, num, method="importance", progress=True)
@@ -99,7 +99,7 @@ def measure(system: System, solver: SoftValue, folder: Path | None, num: int) ->
         "median_ess": float(np.median(share)),
         "worst_kl": float(weighed.kl.max()),
         "islands_apart": float(np.ptp(resampled.island_log_partition, axis=1).max()),
-        "learning_seconds": seconds,
+        "learning_seconds": "stored" if seconds is None else seconds,
         "sampling_seconds": sampling,
     }
 
@@ -127,9 +127,7 @@ def show(rows: list[dict[str, Any]], title: str) -> None:
     """Print rows of the same columns as a table."""
     table = Table(*(name.replace("_", " ") for name in rows[0]), title=title)
     for row in rows:
-        table.add_row(
-            *(f"{x:.3g}" if isinstance(x, float) else str(x or "stored") for x in row.values())
-        )
+        table.add_row(*(f"{x:.3g}" if isinstance(x, float) else str(x) for x in row.values()))
     Console().print(table)
 
 

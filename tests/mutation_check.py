@@ -152,8 +152,8 @@ MUTANTS = (
     Mutant(
         "take Z_c for the ratio of Z_c and Z_0",
         "resolving.py",
-        "log_ratio = avoiding.log_partition - evidence.log_partition",
-        "log_ratio = avoiding.log_partition",
+        "log_ratio[k] = avoiding.log_partition[0] - evidence.log_partition[k]",
+        "log_ratio[k] = avoiding.log_partition[0]",
         "test_resolving -k grid",
     ),
     Mutant(

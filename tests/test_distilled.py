@@ -74,7 +74,7 @@ def test_finished_distillation_is_not_done_again(tmp_path: Path) -> None:
 
 
 def test_the_work_folder_distils_the_soft_value_that_it_holds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     text = f"soft-value?{'&'.join(f'{k}={v}' for k, v in TEACHER_SETTINGS.items())}"
     said: list[str] = []
@@ -82,7 +82,6 @@ def test_the_work_folder_distils_the_soft_value_that_it_holds(
     def work(solver: str) -> Work:
         return Work("test_distilled:PROBLEM", tmp_path, Settings(solver), say=said.append)
 
-    monkeypatch.setattr(Work, "_teacher", property(lambda self: work(text)))
     work(text).nominal()
     student = work("distilled?num_steps=8000&num_lanes=16&segment=8&width=8")
     evidence = student.evidence(Task.stack([CART_TASK]))

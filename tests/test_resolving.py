@@ -86,6 +86,24 @@ def test_one_in_hundred_thousands_is_told_within_a_fifth(solver: Grid | SoftValu
     )
 
 
+def test_a_task_where_nothing_is_left_does_not_spoil_another() -> None:
+    """From x = 0.6 everybody enters at once, from x = -0.9 some go round."""
+    hypotheses = [Union("around", [Box(x=(0.0, 0.59)), Box(x=(0.61, 2.0))]), Box(v=(0.9, 1.4))]
+    problem = dataclasses.replace(rare_cart, hypotheses=hypotheses)
+    nominal = learn(problem, "grid?num_points=61")
+    away = Task(np.array([-0.9, 1.5]), np.array([0.9, 0.5]))
+    evidence = sample(nominal, [CART_TASK, away], 1_000)
+    is_open = infer(evidence).is_open[:, 0]
+    assert is_open[0]
+    assert is_open[1]
+    resolved = resolve(nominal, evidence, [])
+    assert resolved.is_resolved[:, 0].tolist() == [False, True]
+    narrower = dataclasses.replace(problem, known=[problem.hypotheses.constraint(0)])
+    truth = enumerate_exactly(narrower, *away).log_partition
+    truth -= enumerate_exactly(problem, *away).log_partition
+    assert resolved.log_ratio[1, 0] == pytest.approx(truth, abs=math.log(1.2))
+
+
 def test_what_was_resolved_is_kept(tmp_path: Path) -> None:
     problem = rare_cart
     demonstration = round_about(problem, RARE)

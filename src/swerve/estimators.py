@@ -60,6 +60,10 @@ def grouped_variance(
     return len(members) / (len(members) - 1) * (deviation**2).sum(axis=0)
 
 
+class NothingLeftError(ValueError):
+    """Every sampled trajectory enters a known constraint."""
+
+
 class LogRatio(NamedTuple):
     """Estimates of log Z_c / Z_0, nats.
 
@@ -248,7 +252,7 @@ def _largest(log_weight: np.ndarray) -> float:
     if math.isnan(largest):
         raise ValueError(f"{np.isnan(log_weight).sum()} of {log_weight.size} log-weights are NaN")
     if largest == -math.inf:
-        raise ValueError(
+        raise NothingLeftError(
             f"all {log_weight.size} sampled trajectories enter a known constraint: nothing is left "
             "to weigh; check the known constraints and the starts, or use a better policy"
         )

@@ -131,7 +131,7 @@ class Evidence:
         """
         return self._estimate.standard_error
 
-    @property
+    @cached_property
     def _estimate(self) -> estimators.LogRatio:
         summary = self.summary
         if self.is_exact:

@@ -15,12 +15,14 @@ Shapes: K tasks, H hypotheses, I islands.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from swerve.demonstrations import Demonstration
+from swerve.estimators import NothingLeftError
 from swerve.evidence import Evidence
 from swerve.inference import infer
 from swerve.nominal import Nominal, Solver
@@ -28,15 +30,22 @@ from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.samples import NUM_ISLANDS
 from swerve.sampling import sample
+from swerve.space import Task
+from swerve.trust import LOW_ESS
 
 NUM_TRAJECTORIES = 2_000  # a task and hypothesis
-MAX_ROUNDS = 5  # of adapting
 SETTLED = 0.15  # nats: standard error of a ratio that is taken
 
 
 @runtime_checkable
 class AdaptingSolver(Solver, Protocol):
-    """A solver whose soft value can be adapted to more known constraints."""
+    """A solver whose soft value can be adapted to more known constraints.
+
+    Attributes:
+      adapting_rounds: how often it is worth while to go on adapting.
+    """
+
+    adapting_rounds: int
 
     def adapt(self, nominal: Any, problem: Problem, seed: int) -> Nominal:
         """Return the nominal distribution of a problem with more known constraints."""
@@ -50,6 +59,7 @@ def resolve(
     *,
     seed: int = 0,
     progress: bool = False,
+    keep: Callable[[Evidence], None] = lambda evidence: None,
 ) -> Evidence:
     """Work out the ratios that evidence leaves open, for hypotheses that matter to the ranking.
 
@@ -59,6 +69,7 @@ def resolve(
       demonstrations: whose ranking is wanted; hypotheses that one of them enters are left out.
       seed: of everything random.
       progress: whether to show a progress bar.
+      keep: called with what there is after each hypothesis, since all of them may take long.
 
     Returns:
       The evidence with numbers in place of bounds. The bound remains where even with c in force no
@@ -83,6 +94,7 @@ def resolve(
         for index in hypotheses:
             tasks = np.flatnonzero(is_open[:, index]).tolist()
             evidence = _resolved(nominal, evidence, index, tasks, seed)
+            keep(evidence)
             advance(1)
     return evidence
 
@@ -93,7 +105,6 @@ def _resolved(
     """Return evidence with the ratio of one hypothesis in some tasks, as far as it settles."""
     chosen = evidence.select(tasks)
     log_ratio, error = _ratio(nominal, chosen, index, seed)
-    error = np.where(error < SETTLED, error, np.inf)
     settled = np.isfinite(error)
     columns = {
         "avoid_probability": np.exp(log_ratio),
@@ -113,24 +124,33 @@ def _ratio(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return log Z_c / Z_0 and its standard error [K] for all tasks of evidence, nats.
 
-    Where nothing avoids c the error is infinite.
+    The error is infinite where that did not settle it.
     """
-    problem = nominal.problem
+    problem, solver = nominal.problem, nominal.solver
+    assert isinstance(solver, AdaptingSolver)
     constraint = problem.hypotheses.constraint(index)
     narrower = dataclasses.replace(problem, known=[*problem.known, constraint])
-    log_ratio = np.zeros(evidence.num_tasks)
-    error = np.full(evidence.num_tasks, np.inf)
-    for _ in range(MAX_ROUNDS):
-        assert isinstance(nominal.solver, AdaptingSolver)
-        nominal = nominal.solver.adapt(nominal, narrower, seed)
-        try:
-            avoiding = sample(nominal, evidence.tasks, NUM_TRAJECTORIES, method="smc", seed=seed)
-        except ValueError as problem_found:
-            if "enter a known constraint" in str(problem_found):
-                break
-            raise
-        log_ratio = avoiding.log_partition - evidence.log_partition
-        error = np.hypot(avoiding.island_spread, evidence.island_spread) / NUM_ISLANDS**0.5
-        if (error < SETTLED).all():
+    log_ratio, error = np.zeros(evidence.num_tasks), np.full(evidence.num_tasks, np.inf)
+    own_error = evidence.island_spread / NUM_ISLANDS**0.5
+    for number in range(solver.adapting_rounds):
+        left = np.flatnonzero(np.isinf(error) & (own_error < SETTLED)).tolist()
+        if not left:
             break
+        nominal = solver.adapt(nominal, narrower, seed + number)
+        for k in left:
+            avoiding = _sampled(nominal, evidence.select([k]).tasks, seed)
+            if avoiding is None:
+                continue
+            found = math.hypot(avoiding.island_spread[0] / NUM_ISLANDS**0.5, own_error[k])
+            if found < SETTLED and avoiding.effective_sample_size[0] >= LOW_ESS:
+                log_ratio[k] = avoiding.log_partition[0] - evidence.log_partition[k]
+                error[k] = found
     return log_ratio, error
+
+
+def _sampled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
+    """Return evidence of one task, None where no trajectory is left."""
+    try:
+        return sample(nominal, task, NUM_TRAJECTORIES, method="smc", seed=seed)
+    except NothingLeftError:
+        return None

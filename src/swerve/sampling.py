@@ -21,6 +21,7 @@ import numpy as np
 
 from swerve.arguments import positive_number, whole_number
 from swerve.drawing import Job, draw_task
+from swerve.estimators import NothingLeftError
 from swerve.evidence import Evidence
 from swerve.exact import exact_evidence
 from swerve.look_ahead import ValuedPolicy
@@ -61,8 +62,8 @@ def sample(
       method: "importance" weighs each trajectory by target over proposal, so that the answer is
         right however imperfect the policy, as long as it covers all modes; "smc" resamples them by
         weight on the way as well (sequential Monte Carlo; N is then rounded up to a multiple of
-        20), for solvers with a soft value, and the default of "soft-value"; "plain" weighs all
-        alike, as the paper does. Solvers that give exact answers take none of these.
+        20), for solvers with a soft value, and the default of "soft-value" and "distilled"; "plain"
+        weighs all alike, as the paper does. Solvers that give exact answers take none of these.
       beta: of the demonstrator, where it is not the one that was learned for. A soft value that
         was learned for a span of beta is used as it is; else the trajectories are brought there by
         way of as many temperatures between as it takes (the paper, Theorem 2; see `tempering`),
@@ -220,7 +221,8 @@ def _naming(k: int, task: Task) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(
+        kind = NothingLeftError if isinstance(error, NothingLeftError) else ValueError
+        raise kind(
             f"task {k}, from {task.start.tolist()} to {task.goal.tolist()}: {error}"
         ) from error
 

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 import numpy as np
 
@@ -77,6 +77,7 @@ class Work:
         self._asked = settings or Settings()
         self._last = Settings()  # of the folder
         self._stored = self._read_record(say)
+        self._nominals: dict[Settings, Nominal] = {}
 
     @property
     def record(self) -> ProblemRecord:
@@ -134,6 +135,12 @@ class Work:
         Args:
           tasks: those on which training reports its progress.
         """
+        if self.settings not in self._nominals:
+            self._nominals[self.settings] = self._learned(tasks)
+        return self._nominals[self.settings]
+
+    def _learned(self, tasks: Task | None) -> Nominal:
+        """Return the nominal distribution, read or learned."""
         from swerve.nominal import learn, load_nominal, resolve_solver, save_nominal
         from swerve.solvers.distilled import Distilled
 
@@ -142,20 +149,19 @@ class Work:
         assert settings.seed is not None
         solver = resolve_solver(settings.solver)
         solver.check(problem)
-        train = partial(learn, problem, solver)
-        if isinstance(solver, Distilled) and not self._is_learned:
-            train = partial(solver.imitate, self._teacher.nominal(tasks))
         self._begin()
         path, checkpoint = self.path("nominal"), self.path("checkpoint")
         if path is not None and path.exists():
             self.say(f"using {path}")
             return load_nominal(path, problem)
+        train = partial(learn, problem, solver)
+        if isinstance(solver, Distilled):
+            train = partial(solver.imitate, self._teacher.nominal(tasks))
+            self._last = Settings()  # the folder has noted those of the teacher
+            self._begin()
         self.say(f"learning with {settings.solver}: {problem.record.summary}")
         nominal = train(
-            tasks=tasks,
-            seed=settings.seed,
-            progress=self.progress,
-            checkpoint=checkpoint,
+            tasks=tasks, seed=settings.seed, progress=self.progress, checkpoint=checkpoint
         )
         if path is not None and checkpoint is not None:
             save_nominal(path, nominal)
@@ -163,21 +169,27 @@ class Work:
         return nominal
 
     @property
-    def _is_learned(self) -> bool:
-        path = self.path("nominal")
-        return path is not None and path.exists()
-
-    @property
     def _teacher(self) -> Work:
-        """The same folder, for the soft value that a direct policy is distilled from."""
-        settings = Settings(solver="soft-value", seed=self.settings.seed)
+        """The same folder, for the soft value that a direct policy is distilled from.
+
+        That which the folder holds, the latest if there are several, else one to be learned.
+        """
+        seed, solver = self.settings.seed, "soft-value"
+        if self.folder is not None:
+            suffix = f".seed{seed}.nominal"
+            held = sorted(
+                self.folder.glob(f"soft-value*{suffix}"), key=lambda path: path.stat().st_mtime
+            )
+            solver = unquote(held[-1].name.removesuffix(suffix)) if held else solver
+        settings = Settings(solver=solver, seed=seed)
         return Work(self.problem_text, self.folder, settings, say=self.say, progress=self.progress)
 
     def resolved(self, inference: Inference) -> Evidence:
         """Return the evidence of a ranking with numbers in place of bounds that matter to it."""
         evidence, solver = inference.evidence, self.settings.solver
         is_able = Specification.parse(str(solver)).target in ADAPTING_SOLVERS
-        if not (is_able and inference.demonstrations and inference.is_open.any()):
+        is_asked = inference.demonstrations and inference.score_name == "likelihood"
+        if not (is_able and is_asked and inference.is_open.any()):
             return evidence
         from swerve.resolving import resolve
 
@@ -187,10 +199,14 @@ class Work:
             f"{some_names([inference.hypothesis_name(index) for index in names])}: resolving what "
             "avoiding it takes"
         )
-        demonstrations = inference.demonstrations
-        evidence = resolve(self.nominal(), evidence, demonstrations, progress=self.progress)
-        self._save([evidence])
-        return evidence
+        return resolve(
+            self.nominal(),
+            evidence,
+            inference.demonstrations,
+            seed=self.settings.seed or 0,
+            progress=self.progress,
+            keep=lambda evidence: self._save([evidence]),
+        )
 
     def _sample(self, tasks: Task, known: Evidence | None) -> Evidence:
         """Sample tasks; what is finished is kept, also when it is interrupted."""

@@ -105,7 +105,8 @@ class Discrete:
         if n > MAX_DIMENSIONS:
             raise ValueError(
                 f"the discrete solver takes at most {MAX_DIMENSIONS} state dimensions, "
-                f"{type(mdp).__name__} has {n} ({', '.join(mdp.state_names)}): use solver 'ppo'"
+                f"{type(mdp).__name__} has {n} ({', '.join(mdp.state_names)}): "
+                "use solver 'soft-value'"
             )
         shape = self._shape(problem)
         if len(shape) != n:

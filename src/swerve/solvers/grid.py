@@ -91,6 +91,8 @@ class Grid:
         """
         return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
 
+    adapting_rounds = 1
+
     def adapt(self, nominal: GridNominal, problem: Problem, seed: int) -> GridNominal:
         """Return the nominal distribution of a problem with more known constraints."""
         return GridNominal(problem, self)
@@ -111,7 +113,7 @@ class Grid:
             raise ValueError(
                 f"the grid solver takes at most {MAX_DIMENSIONS} state dimensions, "
                 f"{type(problem.mdp).__name__} has {n} ({', '.join(space.names)}): "
-                "use solver 'ppo'"
+                "use solver 'soft-value'"
             )
         if self.num_points == 0:
             points = DEFAULT_POINTS[len(space.names)]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 
 from swerve.arguments import whole_number
@@ -60,6 +61,7 @@ class SoftValue(TrainingSolver):
     beta_span: float = 1.0
 
     name = "soft-value"
+    adapting_rounds = 5
 
     def __post_init__(self) -> None:
         for field in (
@@ -111,8 +113,8 @@ class SoftValue(TrainingSolver):
     def covers(self, nominal: TrainedNominal, beta: float) -> bool:
         """Return whether a nominal distribution was learned for a beta too."""
         assert isinstance(nominal.policy, SoftValuePolicy)
-        distance = abs(math.log(beta / nominal.policy.problem.beta))
-        return distance <= math.log(self.beta_span) + SLACK
+        learned_for, span = nominal.policy.problem.beta, self.beta_span * (1.0 + SLACK)
+        return learned_for / span <= beta <= learned_for * span
 
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TrainedNominal:
         """Return the nominal distribution whose `arrays` were stored."""
@@ -133,11 +135,15 @@ class SoftValue(TrainingSolver):
         """
         num_steps = max(1, round(ADAPTING_SHARE * self.num_steps))
         settings = replace(self, num_steps=num_steps)
-        trainer = settings.trainer(problem, seed)
         assert isinstance(nominal.policy, SoftValuePolicy)
+        learned_for = nominal.policy.problem.beta
+        trainer = settings.trainer(replace(problem, beta=learned_for), seed)
         state = trainer.initial_state()._replace(network=nominal.policy.network)
-        state, _ = trainer.run(state, settings.num_iterations)
-        return TrainedNominal(problem, self, trainer.policy_of(state), nominal.history)
+        trained, _ = trainer.run(state, settings.num_iterations)
+        if all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(trained.network)):
+            state = trained  # else what was there before is the better one
+        policy = trainer.policy_of(state).at(nominal.policy.log_beta)
+        return TrainedNominal(problem, self, policy, nominal.history)
 
     def has_settled(self, history: list[Progress]) -> bool:
         """Return whether the KL has not improved for PATIENCE chunks."""
