@@ -103,3 +103,7 @@ def test_settings_are_checked() -> None:
         Distilled(segment=30)
     with pytest.raises(ValueError, match="width: expected a whole number >= 1, got 0"):
         Distilled(width=0)
+    with pytest.raises(ValueError, match="explore: expected a number from 0 to 1, got 2"):
+        Distilled(explore=2.0)
+    with pytest.raises(ValueError, match="loss_scale: expected a number > 0, got 0"):
+        Distilled(loss_scale=0.0)

@@ -66,6 +66,15 @@ class Distilled(TrainingSolver):
                 f"Distilled: num_minibatches: expected a divisor of the segment {self.segment}, "
                 f"got {self.num_minibatches}"
             )
+        if not 0.0 <= self.explore <= 1.0:
+            raise ValueError(
+                f"Distilled: explore: expected a number from 0 to 1, got {self.explore}"
+            )
+        for field in ("learning_rate", "loss_scale"):
+            if not getattr(self, field) > 0.0:
+                raise ValueError(
+                    f"Distilled: {field}: expected a number > 0, got {getattr(self, field)}"
+                )
 
     def learn(
         self,
