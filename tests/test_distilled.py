@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from reference import CART_TASK, enumerate_exactly, short_cart
 from test_smc import assert_within_errors
+from training import Interrupted, assert_resumes, weights
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
 from swerve.settings import Settings
 from swerve.solvers.distilled_training import DirectPolicy
+from swerve.solvers.soft_value_training import Trainer as SoftValueTrainer
 from swerve.solvers.training import TrainedNominal
 from swerve.work import Work
 
@@ -20,6 +23,7 @@ PROBLEM = short_cart()
 TEACHER_SETTINGS = {"num_steps": 600_000, "num_lanes": 256, "segment": 8, "num_minibatches": 2}
 TEACHER = SoftValue(**TEACHER_SETTINGS, width=32)
 STUDENT = Distilled(num_steps=600_000, num_lanes=256, segment=8, num_minibatches=2, width=32)
+SMALL_TEACHER = replace(TEACHER, num_steps=4_000)
 TINY = Distilled(num_steps=8_000, num_lanes=16, segment=8, width=8)
 
 
@@ -66,11 +70,35 @@ def test_saved_policy_samples_the_same(tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.log_weight, second.log_weight)
 
 
-def test_finished_distillation_is_not_done_again(tmp_path: Path) -> None:
-    whole = TINY.imitate(teacher(), seed=3, checkpoint=tmp_path / "whole")
-    again = TINY.imitate(teacher(), seed=3, checkpoint=tmp_path / "whole")
-    for name, array in whole.arrays().items():
-        np.testing.assert_array_equal(again.arrays()[name], array)
+def test_resumed_distillation_gives_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "distilled.checkpoint"
+    assert_resumes(partial(TINY.imitate, teacher()), path, monkeypatch)
+    another = learn(PROBLEM, SMALL_TEACHER)
+    with pytest.raises(ValueError, match="checkpoint of another run: its teacher is"):
+        TINY.imitate(another, seed=3, checkpoint=path)
+
+
+def test_the_teacher_is_kept_when_learning_is_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "distilled.checkpoint"
+    monkeypatch.setattr("swerve.solvers.distilled.SoftValue", lambda: SMALL_TEACHER)
+
+    def interrupted(*arguments: object, **settings: object) -> None:
+        raise Interrupted
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Distilled, "imitate", interrupted)
+        with pytest.raises(Interrupted):
+            learn(PROBLEM, TINY, checkpoint=path)
+    assert path.with_name("distilled.checkpoint.teacher").exists()
+    whole = learn(PROBLEM, TINY)
+    monkeypatch.setattr(SoftValueTrainer, "run", interrupted)  # the teacher has learned already
+    resumed = learn(PROBLEM, TINY, checkpoint=path)
+    for name, array in weights(whole).items():
+        np.testing.assert_array_equal(weights(resumed)[name], array)
 
 
 def test_the_work_folder_distils_the_soft_value_that_it_holds(
@@ -99,11 +127,11 @@ def test_what_has_no_value_cannot_be_imitated() -> None:
 
 
 def test_settings_are_checked() -> None:
-    with pytest.raises(ValueError, match="num_minibatches: expected a divisor of the segment 30"):
+    with pytest.raises(ValueError, match="num_minibatches: expected a divisor of segment, 30"):
         Distilled(segment=30)
     with pytest.raises(ValueError, match="width: expected a whole number >= 1, got 0"):
         Distilled(width=0)
     with pytest.raises(ValueError, match="explore: expected a number from 0 to 1, got 2"):
         Distilled(explore=2.0)
-    with pytest.raises(ValueError, match="loss_scale: expected a number > 0, got 0"):
+    with pytest.raises(ValueError, match="loss_scale: expected a finite number > 0, got 0"):
         Distilled(loss_scale=0.0)

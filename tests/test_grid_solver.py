@@ -17,7 +17,7 @@ from reference import (
     short_pendulum,
 )
 
-from swerve import MDP, Box, Grid, Pendulum, Predicate, Problem, Task, grid, learn, sample
+from swerve import MDP, Box, Grid, Pendulum, Predicate, Problem, Task, grid, infer, learn, sample
 from swerve.solvers.grid import GridNominal, GridPolicy
 from swerve.trust import VALUE_GAP
 
@@ -72,13 +72,17 @@ def test_a_thin_wall_that_is_dear_to_go_round_is_gone_round() -> None:
     free = enumerate_exactly(short_cart(beta=40.0), CART_TASK.start, CART_TASK.goal)
     exact = enumerate_exactly(problem, CART_TASK.start, CART_TASK.goal)
     assert free.log_partition - exact.log_partition > 30.0
-    evidence = sample(learn(problem, Grid(num_points=61)), CART_TASK, 4_000)
+    nominal = learn(problem, Grid(num_points=61))
+    evidence = sample(nominal, CART_TASK, 4_000, method="importance")
     ess = evidence.effective_sample_size[0]
     assert ess > 200
     error = STANDARD_ERRORS / math.sqrt(ess)
     assert evidence.log_partition[0] == pytest.approx(exact.log_partition, abs=error)
     difference = evidence.violation_probability[0] - exact.violation_probability
     assert np.abs(difference).max() < error
+    resampled = infer(sample(nominal, CART_TASK, 4_000))  # by values on the way, which are off
+    assert resampled.verdict(0).startswith("not to be trusted")
+    assert any("take method 'importance'" in text for text in resampled.warnings)
 
 
 class Walk(MDP):
@@ -216,12 +220,22 @@ def test_too_fine_a_grid_is_refused_with_its_size() -> None:
         learn(short_pendulum(), Grid(num_points=20_000))
 
 
-def test_rewards_that_are_not_finite_are_named() -> None:
+@pytest.mark.parametrize(
+    ("method", "where"),
+    [
+        ("terminal_reward", r"inf from state \[0\.0, 2\.\d+\] with goal \[0\.0, 0\.5\]"),
+        ("reward", r"inf from state \[0\.0, 2\.\d+\] with action 0, \[-1\.0\], with goal"),
+    ],
+)
+def test_rewards_that_are_not_finite_are_named(method: str, where: str) -> None:
     class Broken(Pendulum):
-        def terminal_reward(self, state, goal):
-            return jnp.where(state[1] > 2.0, jnp.inf, 0.0)
+        pass
 
+    def broken(self, state, *others):
+        return jnp.where(state[1] > 2.0, jnp.inf, 0.0)
+
+    setattr(Broken, method, broken)
     problem = Problem(Broken(num_steps=3), grid(theta=(0.0, 1.0, 2)), beta=1.0)
     nominal = Grid(num_points=12).learn(problem)
-    with pytest.raises(ValueError, match=r"Broken.terminal_reward is not finite somewhere"):
-        next(nominal.policies(np.zeros((1, 2))))
+    with pytest.raises(ValueError, match=rf"Broken\.{method} returned {where}"):
+        next(nominal.policies(np.array([[0.0, 0.5]])))

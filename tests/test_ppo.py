@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import jax
@@ -158,8 +158,8 @@ def test_agrees_with_enumeration(
 
 
 def test_entropy_is_part_of_the_objective() -> None:
-    """At beta 0 nothing but the entropy speaks: the policy stays uniform, and is exactly pi_0."""
-    evidence = sample(learn(short_pendulum(beta=0.0), SMALL), PENDULUM_TASK, 2_000)
+    """At next to no beta only the entropy speaks: the policy stays uniform, and is pi_0."""
+    evidence = sample(learn(short_pendulum(beta=1e-6), SMALL), PENDULUM_TASK, 2_000)
     assert evidence.kl[0] < 0.01
     assert evidence.effective_sample_size[0] > 0.98 * 2_000
 
@@ -175,7 +175,9 @@ def tiny() -> TrainedNominal:
 def test_resumed_training_gives_the_same_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert_resumes(tiny(), 3, 4, tmp_path / "ppo.checkpoint", monkeypatch)
+    nominal = tiny()
+    train = partial(learn, nominal.problem, nominal.solver)
+    assert_resumes(train, tmp_path / "ppo.checkpoint", monkeypatch)
 
 
 def test_saved_nominal_samples_the_same(tmp_path: Path) -> None:
@@ -212,11 +214,14 @@ def test_training_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     ("settings", "message"),
     [
         ({"num_steps": 0}, "num_steps: expected a whole number >= 1, got 0"),
-        ({"num_lanes": 10, "num_minibatches": 4}, "num_minibatches to divide num_lanes"),
-        ({"explore": 1.5}, r"explore in \[0, 1\], got 1.5"),
-        ({"gae_lambda": -0.1}, r"gae_lambda in \[0, 1\]"),
-        ({"clip": 0.0}, "clip > 0"),
-        ({"learning_rate": math.nan}, "learning_rate > 0"),
+        (
+            {"num_lanes": 10, "num_minibatches": 4},
+            "num_minibatches: expected a divisor of num_lanes",
+        ),
+        ({"explore": 1.5}, "explore: expected a number from 0 to 1, got 1.5"),
+        ({"gae_lambda": -0.1}, "gae_lambda: expected a number from 0 to 1, got -0.1"),
+        ({"clip": 0.0}, "clip: expected a finite number > 0, got 0"),
+        ({"learning_rate": math.nan}, "learning_rate: expected a finite number > 0, got nan"),
     ],
 )
 def test_settings_are_checked(settings: dict, message: str) -> None:

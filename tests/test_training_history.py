@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,25 +18,43 @@ from matplotlib.image import imread
 from reference import Cart, short_pendulum
 from training import Interrupted
 
-from swerve import PPO, Problem, SoftValue, grid, learn, load_nominal, save_nominal, store
+from swerve import (
+    PPO,
+    Box,
+    Problem,
+    SoftValue,
+    Task,
+    grid,
+    learn,
+    load_nominal,
+    save_nominal,
+    store,
+)
 from swerve.solvers.checkpoints import Checkpoint
 from swerve.solvers.lanes import Lanes, fresh_lanes
 from swerve.solvers.nonfinite import check_steps
 from swerve.solvers.probe import Probe, Reading
-from swerve.solvers.training import Progress, TrainedNominal, TrainingSolver
-from swerve.solvers.training import Run as TrainingRun
+from swerve.solvers.training import TrainedNominal, TrainingSolver
+from swerve.solvers.training_run import NUM_RISEN, Progress
+from swerve.solvers.training_run import Run as TrainingRun
 from swerve.training_plot import FORBIDDEN, plot_training
 
 SOLVERS = {
     "ppo": PPO(num_steps=20_480, num_lanes=16, segment=8, num_minibatches=2, width=8),
     "soft-value": SoftValue(num_steps=8_000, num_lanes=16, segment=8, width=8),
 }
-READ = Reading(2.0, 5.0, 0.3)
+READ = Reading(1.0, 5.0, 0.3)
 each_solver = pytest.mark.parametrize("solver", SOLVERS.values(), ids=SOLVERS)
 
 
-def new_run(solver: TrainingSolver, problem: Problem, seed: int, path: Path | None) -> TrainingRun:
-    return TrainingRun(solver, solver.trainer(problem, seed), problem, None, seed, path)
+def new_run(
+    solver: TrainingSolver,
+    problem: Problem,
+    seed: int,
+    path: Path | None,
+    tasks: Task | None = None,
+) -> TrainingRun:
+    return TrainingRun(solver, solver.trainer(problem, seed), problem, tasks, seed, path)
 
 
 @cache
@@ -107,7 +127,7 @@ class TestHistory:
     def test_a_finished_run_does_not_go_on(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(Probe, "read", lambda self, policy: READ)
+        monkeypatch.setattr(Probe, "read", lambda self, policies: READ)
         solver, path = PPO(num_steps=1, num_lanes=8, segment=1, width=4), tmp_path / "a.checkpoint"
         run = new_run(solver, short_pendulum(), 0, path)
         assert run.advance() is not None
@@ -115,6 +135,89 @@ class TestHistory:
         again = new_run(solver, short_pendulum(), 0, path)
         assert again.history == run.history
         assert again.advance() is None
+
+    @each_solver
+    def test_of_a_run_that_goes_on_is_of_the_tasks_it_began_with(
+        self, solver: TrainingSolver, tmp_path: Path
+    ) -> None:
+        path, tasks = (
+            tmp_path / "a.checkpoint",
+            Task(np.array([[2.0, 0.0]]), np.array([[0.5, 0.5]])),
+        )
+        whole = new_run(solver, short_pendulum(), 3, path, tasks)
+        for _ in range(2):
+            whole.advance()
+        again = new_run(solver, short_pendulum(), 3, path)
+        whole.advance()
+        again.advance()
+        assert [row[2:] for row in again.history] == [row[2:] for row in whole.history]
+        anew = new_run(solver, short_pendulum(), 3, None)
+        anew.advance()
+        assert anew.history[0].kl != whole.history[0].kl
+
+    def test_training_that_gets_no_better_goes_from_the_best_to_its_end(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Chunks 18 to 21 of 31 are passed over, and the third is where it goes on from."""
+        solver, problem, path = SOLVERS["soft-value"], short_pendulum(), tmp_path / "a.checkpoint"
+        best, settled, first, last = 3, 18, 22, solver.num_chunks
+        assert last == 31
+        kl = iter([7.0, 4.0, 3.0, *[6.0] * last])
+        monkeypatch.setattr(Probe, "read", lambda self, policies: Reading(next(kl), 9.0, 0.1))
+        run = new_run(solver, problem, 3, path)
+        for _ in range(settled + 2):
+            run.advance()
+        assert run.num_done == first + 2
+        nominal = learn(problem, solver, seed=3, checkpoint=path)
+        assert isinstance(nominal, TrainedNominal)
+        assert len(nominal.history) == settled + last - first
+        assert nominal.history[-1, 1] == len(nominal.history) * solver.chunk_steps
+        trainer = solver.trainer(problem, 3)
+        state = trainer.initial_state()
+        for _ in range(best):
+            state, _ = trainer.run(state, solver.chunk_iterations)
+        state = trainer.at_iteration(state, first * solver.chunk_iterations)
+        for _ in range(last - first):
+            state, _ = trainer.run(state, solver.chunk_iterations)
+        for ours, theirs in zip(
+            jax.tree.leaves(nominal.policy),
+            jax.tree.leaves(trainer.policy_of(state)),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(ours, theirs)
+
+    def test_the_end_of_the_schedule_learns_at_a_hundredth_of_the_rate(self) -> None:
+        solver = SOLVERS["soft-value"]
+        trainer = solver.trainer(short_pendulum(), 3)
+        state, _ = trainer.run(trainer.initial_state(), 5)
+
+        def change(iteration: int) -> float:
+            before = trainer.at_iteration(state, iteration)
+            after, _ = trainer.run(before, 1)
+            differences = jax.tree.map(
+                lambda x, y: jnp.abs(x - y).mean(),
+                trainer.policy_of(before),
+                trainer.policy_of(after),
+            )
+            return float(jnp.mean(jnp.stack(jax.tree.leaves(differences))))
+
+        assert change(solver.num_iterations) == pytest.approx(0.01 * change(5), rel=0.5)
+
+    def test_of_a_span_of_betas_is_that_of_its_worst(self) -> None:
+        problem = short_pendulum(beta=0.2)
+        solver = SoftValue(num_steps=8_000, num_lanes=16, segment=8, width=8, beta_span=4.0)
+        trainer = solver.trainer(problem, 0)
+        tried = trainer.probed(trainer.initial_state())
+        assert [beta for _, beta in tried] == [0.2, 0.05, 0.8]
+        np.testing.assert_allclose([policy.beta for policy, _ in tried], [0.2, 0.05, 0.8], 1e-6)
+        probe = Probe(problem, None)
+        kl, worst, share = np.array([probe.read([each]) for each in tried]).T
+        assert len(set(kl)) == 3
+        assert probe.read(tried) == (kl.max(), worst.max(), share.min())
+
+    def test_tasks_are_checked_before_training(self) -> None:
+        with pytest.raises(ValueError, match="tasks: expected a goal of 2 numbers"):
+            learn(short_pendulum(), SOLVERS["ppo"], tasks=Task([0.0, 0.0], [1.0]))
 
     def test_of_older_files_is_not_read(self, tmp_path: Path) -> None:
         path = tmp_path / "a.nominal"
@@ -203,18 +306,49 @@ class TestPlot:
             )
 
 
+@pytest.fixture
+def brief(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str | Path, ...]:
+    """Arguments for training briefly into a folder, with readings that take no time."""
+    monkeypatch.setattr(Probe, "read", lambda self, policies: READ)
+    solver = "ppo?num_steps=64&num_lanes=8&segment=1&width=4&num_minibatches=1"
+    return "--work", tmp_path, "--solver", solver
+
+
 class TestCommand:
     def test_learn_writes_a_picture(
-        self, robot: str, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, robot: str, run: Run, tmp_path: Path, brief: tuple[str | Path, ...]
     ) -> None:
-        monkeypatch.setattr(Probe, "read", lambda self, policy: READ)
-        work = tmp_path / "work"
-        solver = "ppo?num_steps=1&num_lanes=8&segment=1&width=4"
-        status, _, said = run("learn", robot, "--work", work, "--solver", solver)
+        status, _, said = run("learn", robot, *brief)
         assert status == 0
-        (picture,) = work.glob("*.training.png")
-        (nominal,) = work.glob("*.nominal")
+        (picture,) = tmp_path.glob("*.training.png")
+        (nominal,) = tmp_path.glob("*.nominal")
         assert picture.name.removesuffix(".training.png") == nominal.name.removesuffix(".nominal")
+        assert f"how training went: {picture}" in said
+
+    def test_infer_draws_what_it_trains_and_says_where_it_goes_on(
+        self,
+        robot: str,
+        run: Run,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        brief: tuple[str | Path, ...],
+    ) -> None:
+        arguments = (robot, *brief, "--samples", 200)
+        save = Checkpoint.save
+
+        def save_and_stop(self: Checkpoint, arrays: dict[str, np.ndarray]) -> None:
+            save(self, arrays)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(Checkpoint, "save", save_and_stop)
+        status, _, said = run("infer", *arguments)
+        assert status == 130
+        assert "going on from" not in said
+        monkeypatch.setattr(Checkpoint, "save", save)
+        status, _, said = run("infer", *arguments)
+        assert status == 0
+        assert re.search(r"going on from .*\.checkpoint", said)
+        (picture,) = tmp_path.glob("*.training.png")
         assert f"how training went: {picture}" in said
 
     def test_nothing_is_drawn_where_nothing_is_trained(
@@ -294,12 +428,19 @@ class TestBadNumbers:
             check_steps(problem, Lanes(states, steps, goals))
         check_steps(problem, Lanes(states[:1], steps[:1], goals[:1]))
 
+    def test_of_rewards_that_nobody_is_paid_do_not_count(self) -> None:
+        lanes = Lanes(jnp.array([[[1.2], [0.0]]]), jnp.zeros((1, 1)), jnp.zeros((1, 2, 1)))
+        problem = Problem(Broken(), grid(x=(-1.5, 1.5, 3)), between_states=False)
+        with pytest.raises(ValueError, match=r"Broken\.reward returned nan"):
+            check_steps(problem, lanes)
+        check_steps(dataclasses.replace(problem, known=[Box(x=(0.9, 9.0))]), lanes)
+
     @each_solver
     def test_of_the_network_are_divergence(
         self, solver: TrainingSolver, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """What was learned before it is kept; if that is nothing, it is an error."""
-        monkeypatch.setattr(Probe, "read", lambda self, policy: READ)
+        monkeypatch.setattr(Probe, "read", lambda self, policies: READ)
         problem = short_pendulum()
         kept = new_run(solver, problem, 3, None)
         for _ in range(2):
@@ -328,3 +469,33 @@ class TestBadNumbers:
         spoil(0)
         with pytest.raises(ValueError, match=r"diverged after 0 iterations: .* Pendulum returned"):
             learn(problem, solver, seed=3)
+
+    @each_solver
+    @pytest.mark.parametrize("later", [[9.0] * NUM_RISEN, [0.6, 9.0]], ids=["early", "at the end"])
+    def test_a_rise_of_the_divergence_is_too(
+        self, solver: PPO | SoftValue, later: list[float], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """What was learned up to the least KL is kept."""
+        problem, at_end = short_pendulum(), len(later) < NUM_RISEN
+        if at_end:  # a run of four chunks
+            solver = dataclasses.replace(solver, num_steps=4 * solver.num_lanes * solver.segment)
+        readings = [5.0, 0.5, *later]
+        planned = iter([*readings, *readings[:2]])  # of both runs
+        monkeypatch.setattr(Probe, "read", lambda self, _: Reading(next(planned), 9.0, 0.1))
+        with pytest.warns(RuntimeWarning, match=r"diverged: .* 9 nats .* least, 0\.5 .* after 2 c"):
+            nominal = learn(problem, solver, seed=3)
+        assert isinstance(nominal, TrainedNominal)
+        assert nominal.history[:, 2].tolist() == readings
+        kept = new_run(nominal.solver, problem, 3, None)
+        for _ in range(2):
+            kept.advance()
+        for ours, theirs in zip(
+            jax.tree.leaves(nominal.policy), jax.tree.leaves(kept.policy), strict=True
+        ):
+            np.testing.assert_array_equal(ours, theirs)
+
+    def test_a_run_that_gets_nowhere_is_told(self) -> None:
+        """By a learning rate that throws every value to its bound, where no gradient leads back."""
+        solver = dataclasses.replace(SOLVERS["soft-value"], learning_rate=30.0)
+        with pytest.warns(RuntimeWarning, match=r"no nearer to pi_0: KL .* from 30"):
+            learn(short_pendulum(), solver, seed=3)

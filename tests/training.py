@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from swerve import Nominal, learn
-from swerve.nominal import Solver
+from swerve import Nominal
 from swerve.solvers.checkpoints import Checkpoint
 
 
@@ -17,18 +17,16 @@ class Interrupted(KeyboardInterrupt):
 
 
 def assert_resumes(
-    whole: Nominal, seed: int, other: int, path: Path, monkeypatch: pytest.MonkeyPatch
+    train: Callable[..., Nominal], path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Training that is interrupted and goes on gives the same numbers; another seed does not.
 
     Args:
-      whole: what was learned with the seed without interruption.
-      seed: of that run.
-      other: another seed.
+      train: takes a seed and a checkpoint.
       path: a checkpoint.
       monkeypatch: what interrupts.
     """
-    problem, solver = whole.problem, whole.solver
+    seed, other = 3, 4
     save, calls = Checkpoint.save, []
 
     def save_and_stop(self: Checkpoint, arrays: dict[str, np.ndarray]) -> None:
@@ -39,22 +37,18 @@ def assert_resumes(
 
     monkeypatch.setattr(Checkpoint, "save", save_and_stop)
     with pytest.raises(Interrupted):
-        learn(problem, solver, seed=seed, checkpoint=path)
+        train(seed=seed, checkpoint=path)
     monkeypatch.setattr(Checkpoint, "save", save)
-    resumed = learned(problem, solver, seed, path)
-    expected, different = weights(whole), learned(problem, solver, other, None)
+    resumed = weights(train(seed=seed, checkpoint=path))
+    expected, different = (weights(train(seed=number)) for number in (seed, other))
     for name, array in expected.items():
         np.testing.assert_array_equal(array, resumed[name])
     learned_arrays = [name for name, array in expected.items() if array.ndim]
     assert all((expected[name] != different[name]).any() for name in learned_arrays)
     before = path.read_bytes()
     with pytest.raises(ValueError, match=rf"checkpoint of another run: its seed is {seed}.*remove"):
-        learn(problem, solver, seed=other, checkpoint=path)
+        train(seed=other, checkpoint=path)
     assert path.read_bytes() == before
-
-
-def learned(problem, solver: Solver, seed: int, path: Path | None) -> dict[str, np.ndarray]:
-    return weights(learn(problem, solver, seed=seed, checkpoint=path))
 
 
 def weights(nominal: Nominal) -> dict[str, np.ndarray]:

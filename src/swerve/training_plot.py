@@ -16,7 +16,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from swerve.figures import FAINT, INK, WIDTH, headed, written
 from swerve.solvers.probe import Reading
-from swerve.solvers.training import Progress, TrainedNominal
+from swerve.solvers.training import TrainedNominal
+from swerve.solvers.training_run import Progress
 
 HEIGHT = 5.8  # in
 LEAST = 1e-3  # nats; what is less, or by chance below 0, is drawn there

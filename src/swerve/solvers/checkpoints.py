@@ -12,7 +12,7 @@ import numpy as np
 from swerve import store
 from swerve.problem import Problem
 
-VERSION = 2
+VERSION = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +24,14 @@ class Checkpoint:
       problem: that is learned.
       settings: of the solver.
       seed: of the run.
+      teacher: fingerprint of what the run imitates; empty where it imitates nothing.
     """
 
     path: Path | None
     problem: Problem
     settings: Any
     seed: int
+    teacher: str = ""
 
     def save(self, arrays: dict[str, np.ndarray]) -> None:
         """Write the arrays, atomically."""
@@ -65,4 +67,5 @@ class Checkpoint:
             "problem": self.problem.record.fingerprint,
             "settings": dataclasses.asdict(self.settings),
             "seed": self.seed,
+            "teacher": self.teacher,
         }

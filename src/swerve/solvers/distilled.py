@@ -14,12 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from swerve.arguments import whole_number
 from swerve.look_ahead import ValuedPolicy
 from swerve.problem import Problem
 from swerve.solvers.distilled_training import Trainer
 from swerve.solvers.soft_value import SoftValue
-from swerve.solvers.training import Progress, TrainedNominal, TrainingSolver
+from swerve.solvers.training import TrainedNominal, TrainingSolver
 from swerve.space import Task
 
 
@@ -52,29 +51,8 @@ class Distilled(TrainingSolver):
     name = "distilled"
 
     def __post_init__(self) -> None:
-        for field in (
-            "num_steps",
-            "num_lanes",
-            "segment",
-            "num_epochs",
-            "num_minibatches",
-            "width",
-        ):
-            whole_number(getattr(self, field), f"Distilled: {field}", 1)
-        if self.segment % self.num_minibatches:
-            raise ValueError(
-                f"Distilled: num_minibatches: expected a divisor of the segment {self.segment}, "
-                f"got {self.num_minibatches}"
-            )
-        if not 0.0 <= self.explore <= 1.0:
-            raise ValueError(
-                f"Distilled: explore: expected a number from 0 to 1, got {self.explore}"
-            )
-        for field in ("learning_rate", "loss_scale"):
-            if not getattr(self, field) > 0.0:
-                raise ValueError(
-                    f"Distilled: {field}: expected a number > 0, got {getattr(self, field)}"
-                )
+        super().__post_init__()
+        self.check_divides("num_minibatches", "segment")
 
     def learn(
         self,
@@ -85,8 +63,15 @@ class Distilled(TrainingSolver):
         progress: bool = False,
         checkpoint: Path | None = None,
     ) -> TrainedNominal:
-        """Learn a soft value with `SoftValue()`, and imitate looking ahead with it."""
-        teacher = SoftValue().learn(problem, tasks=tasks, seed=seed, progress=progress)
+        """Learn a soft value with `SoftValue()`, and imitate looking ahead with it.
+
+        The checkpoint of the soft value is a file beside that of the imitation, its name with
+        `.teacher` appended.
+        """
+        beside = checkpoint and checkpoint.with_name(f"{checkpoint.name}.teacher")
+        teacher = SoftValue().learn(
+            problem, tasks=tasks, seed=seed, progress=progress, checkpoint=beside
+        )
         return self.imitate(
             teacher, tasks=tasks, seed=seed, progress=progress, checkpoint=checkpoint
         )
@@ -121,7 +106,3 @@ class Distilled(TrainingSolver):
     def trainer(self, problem: Problem, seed: int) -> Trainer:
         """Return what would train, had it something to imitate."""
         return Trainer(problem, self, seed, None)
-
-    def has_settled(self, history: list[Progress]) -> bool:
-        """Return False: it is trained for as long as it was told."""
-        return False

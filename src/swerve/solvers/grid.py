@@ -91,11 +91,9 @@ class Grid:
         """
         return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
 
-    adapting_rounds = 1
-
-    def adapt(self, nominal: GridNominal, problem: Problem, seed: int) -> GridNominal:
-        """Return the nominal distribution of a problem with more known constraints."""
-        return GridNominal(problem, self)
+    def adapted(self, nominal: GridNominal, problem: Problem, seed: int) -> Iterator[GridNominal]:
+        """Yield the nominal distribution of a problem with more known constraints."""
+        yield GridNominal(problem, self)
 
     def check(self, problem: Problem) -> None:
         """Raise ValueError where `learn` would."""

@@ -187,13 +187,29 @@ def goal_model(
         for goal in jnp.asarray(goals, jnp.float32)
     ]
     model = GoalModel(*(np.stack(field, axis=-1) for field in zip(*columns, strict=True)))
-    for label, value in (("terminal_reward", model.node_terminal), ("reward", model.reward)):
-        if not np.isfinite(value).all():
-            raise ValueError(
-                f"{type(mdp).__name__}.{label} is not finite somewhere within the bounds: "
-                "the grid solver needs finite rewards at every node"
-            )
+    _check_rewards(problem, nodes, goals, model)
     return model
+
+
+def _check_rewards(
+    problem: Problem, nodes: np.ndarray, goals: np.ndarray, model: GoalModel
+) -> None:
+    """Refuse rewards that are not finite; raise ValueError naming where the first of them is."""
+    mdp = problem.mdp
+    for label, value in (("terminal_reward", model.node_terminal), ("reward", model.reward)):
+        bad = np.argwhere(~np.isfinite(value))
+        if len(bad):
+            row, goal = bad[0]
+            found = value[row, goal] / problem.beta
+            where = f"from state {nodes[row % len(nodes)].tolist()}"
+            if label == "reward":
+                action = int(row // len(nodes))
+                where += f" with action {action}, {np.asarray(mdp.actions)[action].tolist()},"
+            raise ValueError(
+                f"{type(mdp).__name__}.{label} returned {found:g} {where} "
+                f"with goal {goals[goal].tolist()}: the grid solver needs finite rewards "
+                "everywhere within the bounds"
+            )
 
 
 def _check_finite(states: np.ndarray, grid: StateGrid, origin: str) -> None:

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from swerve.mdp import MDP
 from swerve.problem import Problem
 from swerve.solvers.lanes import Lanes
+from swerve.trajectory import enters
 
 DRAWN = "sample_state or sample_task"
 ASKED: tuple[str, ...] = (DRAWN, "features", "dynamics", "reward", "terminal_reward")
@@ -34,7 +34,7 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
     """
     # [M, ...], the earliest first: what follows from a NaN is not to blame for it
     lanes = Lanes(*(jnp.moveaxis(x, -1, 1).reshape(-1, *x.shape[1:-1]) for x in visited))
-    answers = dict(zip(ASKED, map(np.asarray, _ask(problem.mdp, lanes)), strict=True))
+    answers = dict(zip(ASKED, map(np.asarray, _ask(problem, lanes)), strict=True))
     bad = {name: _is_bad(name, x) for name, x in answers.items()}
     rows = {name: x.reshape(len(x), -1).any(axis=1) for name, x in bad.items()}
     found = {name: int(x.argmax()) for name, x in rows.items() if x.any()}
@@ -56,13 +56,18 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
     )
 
 
-def _ask(mdp: MDP, lanes: Lanes) -> tuple[Array, ...]:
-    """Return what ASKED return: two [M, ...] for the states and three [M, A, ...] for actions."""
+def _ask(problem: Problem, lanes: Lanes) -> tuple[Array, ...]:
+    """Return what ASKED return: two [M, ...] for the states and three [M, A, ...] for actions.
+
+    Rewards are 0 where a known constraint is entered: whatever they are, nobody is paid them.
+    """
+    mdp = problem.mdp
 
     def act(lane: Lanes, action: Array) -> tuple[Array, Array, Array]:
         following = mdp.dynamics(lane.state, action)
-        reward = mdp.reward(lane.state, action, following, lane.goal)
-        return following, reward, mdp.terminal_reward(following, lane.goal)
+        hit = enters(problem.known, lane.state, following, mdp, problem.between_states, action)
+        reward = jnp.where(hit, 0.0, mdp.reward(lane.state, action, following, lane.goal))
+        return following, reward, jnp.where(hit, 0.0, mdp.terminal_reward(following, lane.goal))
 
     @jax.jit
     @jax.vmap

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from swerve.arguments import whole_number
 from swerve.problem import Problem
 from swerve.solvers.ppo_training import Trainer
-from swerve.solvers.training import Progress, TrainingSolver
+from swerve.solvers.training import TrainingSolver
 
 
 @dataclass(frozen=True)
@@ -49,31 +48,10 @@ class PPO(TrainingSolver):
     name = "ppo"
 
     def __post_init__(self) -> None:
-        for field in (
-            "num_steps",
-            "num_lanes",
-            "segment",
-            "num_epochs",
-            "num_minibatches",
-            "width",
-        ):
-            whole_number(getattr(self, field), f"PPO: {field}", 1)
-        for field in ("explore", "gae_lambda"):
-            if not 0.0 <= getattr(self, field) <= 1.0:
-                raise ValueError(f"PPO: expected {field} in [0, 1], got {getattr(self, field)}")
-        for field in ("clip", "learning_rate", "loss_scale"):
-            if not getattr(self, field) > 0.0:
-                raise ValueError(f"PPO: expected {field} > 0, got {getattr(self, field)}")
-        if self.num_lanes % self.num_minibatches:
-            raise ValueError(
-                f"PPO: expected num_minibatches to divide num_lanes, got {self.num_minibatches} "
-                f"and {self.num_lanes}"
-            )
+        super().__post_init__()
+        self.check_numbers(shares=("gae_lambda",), positive=("clip",))
+        self.check_divides("num_minibatches", "num_lanes")
 
     def trainer(self, problem: Problem, seed: int) -> Trainer:
         """Return what trains for a problem."""
         return Trainer(problem, self, seed)
-
-    def has_settled(self, history: list[Progress]) -> bool:
-        """Return False: it is trained for as long as it was told."""
-        return False

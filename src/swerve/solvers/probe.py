@@ -7,6 +7,8 @@ log Z_0 by the same few trajectories: an alarm, too small where modes are missed
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -17,7 +19,7 @@ from swerve import estimators
 from swerve.problem import Problem
 from swerve.samples import log_weights
 from swerve.space import Task
-from swerve.tasks import draw_tasks
+from swerve.tasks import checked_tasks, draw_tasks
 from swerve.trajectory import Policy, rollout
 
 NUM_TASKS = 8
@@ -49,20 +51,29 @@ class Probe:
 
     Args:
       problem: what is learned.
-      tasks: starts [K, n] and goals [K, g], of which the first are taken; drawn if None.
+      tasks: as for `sample`, the first of them being taken; drawn if None.
+
+    Raises:
+      ValueError: if a task is not one of the problem.
     """
 
     def __init__(self, problem: Problem, tasks: Task | None) -> None:
-        if tasks is None:
-            tasks = draw_tasks(problem, NUM_TASKS)
+        tasks = draw_tasks(problem, NUM_TASKS) if tasks is None else checked_tasks(problem, tasks)
         self.problem = problem
         self.tasks = Task(*(np.asarray(x[:NUM_TASKS], np.float32) for x in tasks))
 
-    def read(self, policy: Policy) -> Reading:
-        """Roll out a policy and say how far it is from pi_0; always with the same numbers."""
+    def read(self, policies: Sequence[tuple[Policy, float]]) -> Reading:
+        """Return how far policies are from pi_0 at the beta of each: the worst of each figure."""
+        readings = [self._read(policy, beta) for policy, beta in policies]
+        kl, worst, share = zip(*readings, strict=True)
+        return Reading(max(kl), max(worst), min(share))
+
+    def _read(self, policy: Policy, beta: float) -> Reading:
+        """Roll out a policy; always with the same numbers."""
         start, goal = (jnp.repeat(jnp.asarray(x.T), NUM_TRAJECTORIES, axis=1) for x in self.tasks)
         drawn = rollout(self.problem, policy, start, goal, jax.random.key(0), start.shape[1])
-        log_weight = log_weights(self.problem.record, drawn).reshape(-1, NUM_TRAJECTORIES)
+        record = dataclasses.replace(self.problem.record, beta=beta)
+        log_weight = log_weights(record, drawn).reshape(-1, NUM_TRAJECTORIES)
         rows = log_weight[np.isfinite(log_weight).any(axis=1)]
         if not len(rows):
             return Reading(np.inf, np.inf, 0.0)

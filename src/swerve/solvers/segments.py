@@ -1,7 +1,7 @@
-"""Segments of episodes from which value networks learn: rollouts in all lanes, and minibatches.
+"""Segments of episodes from which networks learn: rollouts in all lanes, and minibatches.
 
-Lanes that explore start anew, anywhere at any time, with every segment; the others go on from where
-they were until their episode ends.
+A lane goes on from where it was until its episode ends. Where that is asked for, lanes that explore
+start anew, anywhere at any time, with every segment.
 
 Shapes: N lanes, L steps of a segment, G minibatches, A actions. The batch is the last axis of every
 array.
@@ -48,11 +48,17 @@ class Segment(NamedTuple):
 
     Attributes:
       seen: what `look` wants to keep of each step.
+      action: index of the one executed.
+      log_probability: of it, nats.
+      reward: r(s, a, s') and r_T; -inf on entering a known constraint.
       ended: whether the episode ended with this step.
       lanes: where they were.
     """
 
     seen: Any
+    action: Array
+    log_probability: Array
+    reward: Array
     ended: Array
     lanes: Lanes
 
@@ -63,6 +69,8 @@ def roll_segment(
     look: Callable[[Lanes, Array], tuple[Array, Any]],
     lanes: Lanes,
     key: Key[Array, ""],
+    *,
+    restart: bool,
 ) -> tuple[Lanes, Segment]:
     """Roll out one segment in all lanes; one whose episode ends goes on with a fresh one.
 
@@ -73,6 +81,7 @@ def roll_segment(
         number from 0 to 1 that stays with the lane; those of all lanes are spread evenly.
       lanes: where they are.
       key: source of randomness.
+      restart: whether lanes that explore start anew.
 
     Returns:
       Where the lanes are then, and the segment.
@@ -83,18 +92,18 @@ def roll_segment(
         jax.random.split(key_fresh, sizes.segment)
     )
     uniforms = jax.random.uniform(key_actions, (sizes.segment, num_lanes))
-    explores = jnp.arange(num_lanes) < sizes.explore * num_lanes
+    explores = (jnp.arange(num_lanes) < sizes.explore * num_lanes) & restart
     lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
 
     place = (jnp.arange(num_lanes) * GOLDEN) % 1.0
 
     def advance(lanes: Lanes, fresh: Lanes, uniform: Array, place: Array) -> tuple[Lanes, Segment]:
         log_probabilities, seen = look(lanes, place)
-        action, _ = draw_action(log_probabilities, uniform)
+        action, log_probability = draw_action(log_probabilities, uniform)
         taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
         moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
         following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
-        return following, Segment(seen, taken.ended, lanes)
+        return following, Segment(seen, action, log_probability, taken.reward, taken.ended, lanes)
 
     return jax.lax.scan(
         lambda lanes, x: over_lanes(advance, -1, -1, -1, -1)(lanes, *x, place),

@@ -52,6 +52,11 @@ class SOAPState(NamedTuple):
 
 def soap(schedule: optax.Schedule) -> optax.GradientTransformation:
     """Return the optimiser, its learning rate by a schedule over updates."""
+    return optax.chain(scale_by_soap(), optax.scale_by_learning_rate(schedule))
+
+
+def scale_by_soap() -> optax.GradientTransformation:
+    """Return what makes gradients into steps, Q_L Adam(Q_L^T G Q_R) Q_R^T."""
 
     def init(params: Any) -> SOAPState:
         return SOAPState(jax.tree.map(_moments, params), jnp.int32(0))
@@ -64,8 +69,7 @@ def soap(schedule: optax.Schedule) -> optax.GradientTransformation:
                 leaves.flatten_up_to(updates), leaves.flatten_up_to(state.moments), strict=True
             )
         ]
-        rate: Any = schedule(state.num_updates)
-        steps = leaves.unflatten([-rate * step for step, _ in pairs])
+        steps = leaves.unflatten([step for step, _ in pairs])
         return steps, SOAPState(leaves.unflatten([moments for _, moments in pairs]), num_updates)
 
     return optax.GradientTransformation(init, update)

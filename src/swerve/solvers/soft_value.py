@@ -5,26 +5,30 @@
 regressed on lambda-returns of its own residuals under its own look-ahead policy, from exploring
 starts over state and time beside on-policy rollouts; see `soft_value_training`. V is a network plus
 the terminal reward, which fades with the time to go. Where an episode ends V is not asked: r_T is
-paid. Training ends when the KL divergence that a few tasks show stops improving.
+paid. When the KL divergence that a few tasks show stops improving, training goes to its end: the
+last part of its schedule, in which the learning rate falls.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
-from swerve.arguments import whole_number
 from swerve.problem import Problem
 from swerve.solvers.soft_value_training import SoftValuePolicy, Trainer
-from swerve.solvers.training import Progress, TrainedNominal, TrainingSolver
+from swerve.solvers.training import TrainedNominal, TrainingSolver
+from swerve.solvers.training_run import Progress
 
-PATIENCE = 12  # chunks without improvement after which training ends
+PATIENCE = 15  # chunks without improvement after which training goes to its end
 IMPROVED = 0.97  # of the least KL so far
 SLACK = 1e-6  # relative, at the ends of the span of beta
-ADAPTING_SHARE = 0.1  # of the steps, for one more known constraint
+ADAPTING_SHARE = 0.1  # of the steps, for a round of adapting to one more known constraint
+ADAPTING_STEPS = 1_000_000  # of a round, at least, however easy the rest was to learn
+ADAPTING_ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -61,35 +65,13 @@ class SoftValue(TrainingSolver):
     beta_span: float = 1.0
 
     name = "soft-value"
-    adapting_rounds = 5
 
     def __post_init__(self) -> None:
-        for field in (
-            "num_steps",
-            "num_lanes",
-            "segment",
-            "num_epochs",
-            "num_minibatches",
-            "width",
-        ):
-            whole_number(getattr(self, field), f"SoftValue: {field}", 1)
-        if self.segment % self.num_minibatches:
-            raise ValueError(
-                f"SoftValue: num_minibatches: expected a divisor of the segment {self.segment}, "
-                f"got {self.num_minibatches}"
-            )
-        for field in ("explore", "trace"):
-            if not 0.0 <= getattr(self, field) <= 1.0:
-                raise ValueError(
-                    f"SoftValue: {field}: expected a number from 0 to 1, got {getattr(self, field)}"
-                )
+        super().__post_init__()
+        self.check_numbers(shares=("trace",), positive=("fade",))
+        self.check_divides("num_minibatches", "segment")
         if not (math.isfinite(self.beta_span) and self.beta_span >= 1.0):
             raise ValueError(f"SoftValue: beta_span: expected a number >= 1, got {self.beta_span}")
-        for field in ("learning_rate", "loss_scale", "fade"):
-            if not getattr(self, field) > 0.0:
-                raise ValueError(
-                    f"SoftValue: {field}: expected a number > 0, got {getattr(self, field)}"
-                )
 
     def at_beta(self, nominal: TrainedNominal, beta: float) -> TrainedNominal:
         """Return the nominal distribution for another beta of the span.
@@ -128,22 +110,27 @@ class SoftValue(TrainingSolver):
         """Return what trains for a problem."""
         return Trainer(problem, self, seed)
 
-    def adapt(self, nominal: TrainedNominal, problem: Problem, seed: int) -> TrainedNominal:
-        """Return the nominal distribution of a problem with more known constraints.
+    def adapted(
+        self, nominal: TrainedNominal, problem: Problem, seed: int
+    ) -> Iterator[TrainedNominal]:
+        """Yield the nominal distribution of a problem with more known constraints, ever better.
 
-        Training goes on for a while with these, from what was learned without them.
+        Training goes on with these, from what was learned without them; it ends where it diverges.
         """
-        num_steps = max(1, round(ADAPTING_SHARE * self.num_steps))
+        num_steps = max(ADAPTING_STEPS, round(ADAPTING_SHARE * self.num_steps))
         settings = replace(self, num_steps=num_steps)
         assert isinstance(nominal.policy, SoftValuePolicy)
         learned_for = nominal.policy.problem.beta
         trainer = settings.trainer(replace(problem, beta=learned_for), seed)
-        state = trainer.initial_state()._replace(network=nominal.policy.network)
-        trained, _ = trainer.run(state, settings.num_iterations)
-        if all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(trained.network)):
-            state = trained  # else what was there before is the better one
-        policy = trainer.policy_of(state).at(nominal.policy.log_beta)
-        return TrainedNominal(problem, self, policy, nominal.history)
+        first = trainer.initial_state()
+        state = first._replace(network=nominal.policy.network)
+        for _ in range(ADAPTING_ROUNDS):
+            state, _ = trainer.run(state, settings.num_iterations)
+            if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.network)):
+                return
+            policy = trainer.policy(state.network).at(nominal.policy.log_beta)
+            yield TrainedNominal(problem, self, policy, nominal.history)
+            state = state._replace(optimiser=first.optimiser)  # whose rate falls with each round
 
     def has_settled(self, history: list[Progress]) -> bool:
         """Return whether the KL has not improved for PATIENCE chunks."""
