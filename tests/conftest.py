@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import sys
 import tempfile
@@ -22,12 +23,28 @@ settings.load_profile("swerve")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What one test has compiled no other compiles again: most of the time goes there."""
+    """Give each process its cores; what one test has compiled no other compiles again.
+
+    Most of the time goes into compiling. Threads of XLA spin while they wait, so that processes
+    which share cores hold one another up.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "sched_setaffinity"):
+        worker = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
+        cores = sorted(os.sched_getaffinity(0))
+        num_workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+        os.sched_setaffinity(0, cores[worker::num_workers] or cores)
     folder = tempfile.TemporaryDirectory(prefix="swerve-tests-")  # of this run alone
     config.add_cleanup(folder.cleanup)
     Path(folder.name).chmod(0o777)  # see `nobody`
     jax.config.update("jax_compilation_cache_dir", folder.name)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_more_programs_than_a_process_may_have() -> Iterator[None]:
+    """Drop what a file has compiled: each program takes memory maps, of which there are 65,530."""
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")
@@ -81,16 +98,20 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture
-def nobody(tmp_path: Path, demonstrations: list[Path]) -> Iterator[None]:
+def nobody(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, demonstrations: list[Path]
+) -> Iterator[None]:
     """Run as a user who may read everything in the temporary folder and write nothing."""
     locked = tmp_path / "locked"
     locked.mkdir(mode=0o555)
-    for folder in (demonstrations[0].parent, *demonstrations[0].parents, tmp_path):
-        if folder.stat().st_uid == os.geteuid() and folder.is_relative_to(tmp_path.parents[1]):
+    root = tmp_path_factory.getbasetemp().parents[1 if "PYTEST_XDIST_WORKER" in os.environ else 0]
+    for folder in (*demonstrations[0].parents, tmp_path):
+        if folder.stat().st_uid == os.geteuid() and folder.is_relative_to(root):
             folder.chmod(0o755)
     if os.geteuid() != 0:
         yield
         return
+    codecs.lookup("utf-8-sig")  # loaded on demand, from where nobody may not be able to read
     os.seteuid(65534)
     try:
         yield

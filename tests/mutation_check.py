@@ -47,8 +47,8 @@ MUTANTS = (
     Mutant(
         "drop the entropy term: PPO's reward leaves the action's log-probability out",
         "solvers/ppo_training.py",
-        "reward = earned - log_probability - offset",
-        "reward = earned - offset",
+        "reward = earned - segment.log_probability - log_measure(self.problem)",
+        "reward = earned - log_measure(self.problem)",
         "test_ppo -k entropy",
     ),
     Mutant(
@@ -70,14 +70,14 @@ MUTANTS = (
         "trajectory.py",
         "carry.length + active,",
         "carry.length + active + (step == 0),",
-        "test_grid_solver -k early_termination",
+        "test_trajectory",
     ),
     Mutant(
         "use beta twice",
         "samples.py",
         "beta=problem.beta,",
         "beta=problem.beta**2,",
-        "test_grid_solver -k pendulum_agrees",
+        "test_evidence",
     ),
     Mutant(
         "ignore early termination",
@@ -152,9 +152,30 @@ MUTANTS = (
     Mutant(
         "take Z_c for the ratio of Z_c and Z_0",
         "resolving.py",
-        "log_ratio[k] = avoiding.log_partition[0] - evidence.log_partition[k]",
-        "log_ratio[k] = avoiding.log_partition[0]",
+        "found = avoiding.log_partition[0] - evidence.log_partition[k]",
+        "found = avoiding.log_partition[0]",
         "test_resolving -k grid",
+    ),
+    Mutant(
+        "believe a lone trajectory that avoids what all others enter",
+        "inference.py",
+        "is_open = evidence.standard_error > FEW_AVOID",
+        "is_open = evidence.is_floored",
+        "test_resolving -k lone",
+    ),
+    Mutant(
+        "believe a ratio that so many samples contradict",
+        "resolving.py",
+        "return sum(terms) > UNLIKELY and 1.0 - sum(terms[:-1]) > UNLIKELY",
+        "return sum(terms) > UNLIKELY",
+        "test_resolving -k held",
+    ),
+    Mutant(
+        "call a ranking settled whatever the errors of its scores",
+        "trust.py",
+        "share[needs_none] = 0.0",
+        "share[:] = 0.0",
+        "test_trust",
     ),
     Mutant(
         "look ahead with the problem's beta whatever beta is asked for",
@@ -214,7 +235,7 @@ MUTANTS = (
     ),
     Mutant(
         "use the same random numbers in every iteration of PPO",
-        "solvers/ppo_training.py",
+        "solvers/segment_training.py",
         "jax.random.fold_in(jax.random.key(self.seed + 1), state.iteration)",
         "jax.random.key(self.seed + 1)",
         "test_ppo -k agrees",

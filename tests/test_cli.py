@@ -14,6 +14,7 @@ import pytest
 from command import CONSTRAINT, ROBOT, SOLVER, Run, infer
 
 from swerve import store
+from swerve.solvers import checkpoints
 
 
 def test_from_demonstrations_to_a_ranking(
@@ -99,9 +100,18 @@ def test_learn_and_sample_ahead_then_infer(
 ) -> None:
     work, tasks = tmp_path / "work", demonstrations[0].parent / "tasks.csv"
     assert run("learn", robot, "--work", work, "--solver", SOLVER)[0] == 0
-    status, out, _ = run("sample", robot, "--work", work, "--tasks", tasks, "--samples", 500)
+    status, out, said = run("sample", robot, "--work", work, "--tasks", tasks, "--samples", 500)
     assert status == 0
+    assert "warning" not in said
     assert out.startswith("4 tasks, 500 trajectories a task from Grid(")
+    assert "spread  start -> goal" in out
+    status, out, _ = run("sample", robot, "--work", work, "--tasks", tasks, "--json")
+    assert status == 0
+    assert {"distinct_share", "island_spread", "verdict"} <= json.loads(out)["tasks"][0].keys()
+    few = ("--samples", 60, "--work", work, "--tasks", tasks)
+    status, _, said = run("sample", robot, *few)
+    assert status == 0
+    assert "warning: not to be trusted: the effective sample size is too low" in said
     before = {path: path.stat().st_mtime_ns for path in work.iterdir()}
     assert run(*infer(robot, demonstrations, work))[0] == 0
     assert {path: path.stat().st_mtime_ns for path in work.iterdir()} == before
@@ -271,7 +281,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint(robot: str, tmp_path: Path) ->
     assert "the same command goes on" in said
     assert "Traceback" not in said
     [checkpoint] = work.glob("*.checkpoint")
-    assert store.open_file(checkpoint, "swerve-ppo-checkpoint", 2).names
+    assert store.open_file(checkpoint, "swerve-ppo-checkpoint", checkpoints.VERSION).names
     assert not list(work.glob("*.nominal"))
 
 

@@ -28,7 +28,7 @@ def test_readme_and_how_to_run(
     assert not names["result"].struck_out[53]
     assert names["evidence"].effective_sample_size[0] > 1_000
     (tmp_path / "work").mkdir()
-    names["evidence"].save("work/grid.seed0.importance.10000.evidence")
+    names["evidence"].save("work/grid.seed0.smc.10000.evidence")
     for block in python_blocks(ROOT / "docs" / "how-to.md"):
         exec(compile(block, "how-to.md", "exec", dont_inherit=True), names)
     assert capsys.readouterr().out.count("rank") == 3

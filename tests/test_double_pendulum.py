@@ -48,6 +48,20 @@ def test_small_swings_have_their_two_frequencies(sign: float) -> None:
     np.testing.assert_allclose(states[:, 0], expected, atol=2e-5)
 
 
+@pytest.mark.parametrize("whole_turns", [0.0, 2.0 * math.pi])
+def test_features_tell_what_small_swings_miss_the_goal_by(whole_turns: float) -> None:
+    """In both modes at once, started with speed: nothing is missed where coasting ends."""
+    mdp = DoublePendulum()
+    states = swing(mdp, [0.01, -0.004, 0.006, 0.008], 0.0, 60)
+    goal = jnp.array(states[60], jnp.float32)
+    start = jnp.array(states[0] + [whole_turns, 0.0, 0.0, 0.0], jnp.float32)
+    features = mdp.features(start, jnp.array(mdp.num_steps - 60), goal)
+    assert features.shape == (32,)
+    np.testing.assert_allclose(features[18:22], 0.0, atol=2e-5)
+    elsewhere = mdp.features(start, jnp.array(mdp.num_steps - 30), goal)
+    assert np.abs(elsewhere[18:22]).max() > 1e-3
+
+
 def test_solvers_take_it() -> None:
     assert len(double_pendulum().hypotheses) == 100
     mdp = DoublePendulum(max_torque=2.0, num_torques=3, dt=0.4, num_steps=6)

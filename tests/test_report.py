@@ -256,21 +256,23 @@ class TestTasks:
         result = ordinary()
         evidence = result.evidence
         head, *rows = Page(page(result)).tables[1]
-        assert head[1:3] == ["start (theta, x)", "goal (theta, x)"]
+        assert head[2:4] == ["start (theta, x)", "goal (theta, x)"]
         assert [row[0] for row in rows] == ["first", "second"]
-        assert rows[0][1:3] == ["0.1, 1", "1, 2"]
+        assert rows[0][2:4] == ["0.1, 1", "1, 2"]
         for row, task in zip(rows, (0, 1), strict=True):
-            assert row[3] == f"{evidence.effective_sample_size[task]:.0f} of 400"
-            assert float(row[4]) == pytest.approx(evidence.kl[task], abs=6e-3)
-            assert float(row[5]) == pytest.approx(evidence.log_partition[task], abs=6e-3)
-            assert row[6] == "importance"
+            assert row[1] == result.verdict(task)
+            assert row[4] == f"{evidence.effective_sample_size[task]:.0f} of 400"
+            assert float(row[5]) == pytest.approx(evidence.kl[task], abs=6e-3)
+            assert float(row[6]) == pytest.approx(evidence.log_partition[task], abs=6e-3)
+            assert float(row[7]) == pytest.approx(evidence.island_spread[task], abs=6e-4)
+            assert row[8] == f"{evidence.distinct_share[task]:.0%}"
 
     def test_low_samples_are_marked(self) -> None:
         few = make_evidence().summary._replace(effective_sample_size=np.array([5.0, 300, 300]))
         demonstrations = [make_demonstration(0), make_demonstration(1)]
         parsed = Page(page(infer(make_evidence(summary=few), demonstrations)))
         assert parsed.row_classes[1] == ["", "low", ""]
-        assert parsed.tables[1][1][3] == "5 of 400, low"
+        assert parsed.tables[1][1][4] == "5 of 400, low"
 
     def test_many_demonstrations_of_one_task_are_counted(self) -> None:
         demonstrations = [make_demonstration(0, f"d{k}") for k in range(30)]

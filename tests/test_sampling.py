@@ -55,7 +55,7 @@ def test_chunks_do_not_repeat_one_another(
     nominal: Nominal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("swerve.drawing.CHUNK", 100)
-    evidence = sample(nominal, PENDULUM_TASK, 250)
+    evidence = sample(nominal, PENDULUM_TASK, 250, method="importance")
     reward = evidence.samples.total_reward[0]
     assert reward.shape == (250,)
     assert (reward[:84] != reward[84:168]).any()
@@ -122,7 +122,7 @@ def test_a_policy_that_enters_a_known_constraint_loses_that_weight() -> None:
         def arrays(self):
             return {}
 
-    evidence = sample(Blind(walled, Grid()), CART_TASK, 20_000)
+    evidence = sample(Blind(walled, Grid()), CART_TASK, 20_000, method="importance")
     share = np.isneginf(evidence.log_weight[0]).mean()
     assert 0.05 < share < 0.95
     error = np.sqrt(evidence.summary.avoid_variance[0]) + 1.0 / evidence.effective_sample_size[0]
@@ -169,7 +169,7 @@ class TestBadInput:
             def dynamics(self, state, action):
                 return jnp.where(state[0] > 100.0, jnp.nan, state + 60.0)
 
-        problem = Problem(Broken(num_steps=4), grid(omega=(-4.0, 4.0, 2)), beta=0.0)
+        problem = Problem(Broken(num_steps=4), grid(omega=(-4.0, 4.0, 2)), beta=1e-9)
         nominal = learn(problem, Grid(num_points=12))
         with pytest.raises(ValueError, match=r"Broken.dynamics returned \[nan, nan\] at step 3"):
             sample(nominal, Task(np.array([1.0, 0.0]), np.zeros(2)), 8)

@@ -5,14 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
 from test_smc import OF_ISLANDS, WALL, Guessed, assert_within_errors
+from test_trust import Fixed
 
-from swerve import Problem, infer, learn, sample
+from swerve import Box, Problem, infer, learn, sample
+from swerve.estimators import LOW_ESS
 from swerve.samples import NUM_ISLANDS
-from swerve.trust import LOW_ESS
+from swerve.tempering import _next_step
 
 PROBLEMS = {
     "pendulum": (short_pendulum(beta=0.05), PENDULUM_TASK),
@@ -69,7 +74,10 @@ def test_a_beta_next_door_is_as_good_as_weighing() -> None:
 def test_verdict_says_what_is_left() -> None:
     problem, task = PROBLEMS["ends-early"]
     evidence = sample(learn(problem, "grid?num_points=61"), task, 200, beta=500.0)
-    assert "effective sample size" in infer(evidence).verdict(0)
+    result = infer(evidence)
+    assert "effective sample size" in result.verdict(0)
+    [said] = [text for text in result.warnings if "effective sample size" in text]
+    assert said.endswith("draw more trajectories, or learn at a beta nearer to 500")
 
 
 def test_what_cannot_be_done_is_said() -> None:
@@ -82,3 +90,29 @@ def test_what_cannot_be_done_is_said() -> None:
         sample(Guessed(problem), task, 100, method="tempered")
     with pytest.raises(ValueError, match="the enumeration solver gives exact answers for the"):
         sample(learn(problem, "enumeration"), task, 100, beta=1.0)
+
+
+class Blind(eqx.Module):
+    """Every action alike, also into known constraints."""
+
+    problem: Problem = eqx.field(static=True)
+
+    def __call__(self, state: Array, step: Array, goal: Array) -> Array:
+        num_actions = self.problem.mdp.num_actions
+        return jnp.full(num_actions, -math.log(num_actions))
+
+
+def test_dead_islands_do_not_slow_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They would weigh as if their reward were 0, which no other trajectory comes near."""
+    seen = []
+
+    def next_step(reward: np.ndarray, rest: float) -> float:
+        seen.append(reward)
+        return _next_step(reward, rest)
+
+    monkeypatch.setattr("swerve.tempering._next_step", next_step)
+    problem = short_cart(beta=0.5, known=[Box(x=(0.2, 0.5), v=(-2.0, -0.2))])
+    evidence = sample(Fixed(Blind(problem)), CART_TASK, 20, beta=5.0)
+    num_alive = np.isfinite(evidence.island_log_partition).sum()
+    assert 0 < num_alive < NUM_ISLANDS
+    assert all(len(reward) == num_alive and (reward < 0.0).all() for reward in seen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -35,6 +36,8 @@ GOOD = {
         ({"kl": 0.7}, "importance", "errors may be larger than stated: KL 0.70 nats"),
         ({"kl": 0.7}, "smc", None),
         ({"soft_value": 3.3}, "smc", "the solver's log Z_0 is 3.30, not 3.00 nats"),
+        ({"soft_value": 3.3, "effective_sample_size": 130.0}, "smc", "log Z_0 is 3.30, not 3.00"),
+        ({"soft_value": 3.3, "effective_sample_size": 130.0}, "importance", None),
     ],
 )
 def test_a_verdict_is_of_its_task_alone(changes: dict, method: str, text: str | None) -> None:
@@ -79,6 +82,9 @@ def test_more_samples_are_asked_for_where_they_would_settle_it() -> None:
     result = infer(evidence_of_columns(chances(*shares), CELLS), [make_demonstration(name="one")])
     text = result.verdict(0)
     assert text.startswith("ranking of the first 3 not settled: raise --samples to about ")
+    clear = infer(evidence_of_columns(chances(0.9, *shares), CELLS), [make_demonstration()])
+    first = "ranking of the first 3 not settled (the first is): raise --samples to about "
+    assert clear.verdict(0).startswith(first)
     needed = int(text.rsplit(" ", 1)[1].replace(",", ""))
     assert 5_000 < needed < 50_000
     assert result.verdicts() == f"0 of 1 tasks settled\n  one: {text}"
@@ -92,6 +98,65 @@ def test_equal_scores_are_never_settled() -> None:
     columns = chances(0.5, 0.5, 0.3, 0.1)
     columns[0, :, 6] = columns[0, ::-1, 5]
     result = infer(evidence_of_columns(columns, CELLS), [make_demonstration()])
+    assert result.verdict(0).endswith("not settled, nor will more samples do it")
+
+
+def test_hypotheses_that_explain_nothing_need_no_order() -> None:
+    result = infer(evidence_of_columns(chances(0.5), CELLS), [make_demonstration()])
+    assert result.log_likelihood[result.ranking[1]] == result.log_likelihood[result.ranking[2]]
+    assert result.verdict(0) == "settled"
+
+
+def test_hypotheses_far_behind_the_first_need_no_order() -> None:
+    """One demonstration leaves the second 3.9 nats behind, two 7.8 +- 0.7, three 11.7 +- 1.0."""
+    evidence = evidence_of_columns(chances(0.99, 0.51, 0.5, 0.1), CELLS)
+    one, two, three = (infer(evidence, [make_demonstration()] * num) for num in (1, 2, 3))
+    for result in (one, two):
+        assert result.verdict(0).startswith("ranking of the first 3 not settled (the first is)")
+    assert three.verdict(0) == "settled"
+
+
+def test_an_answer_that_is_not_to_be_trusted_says_so_alone() -> None:
+    """What is said of bounds and of odd demonstrations would be of the few that are left."""
+    evidence = evidence_of_columns(chances(0.9), CELLS)
+    summary = evidence.summary._replace(end=evidence.tasks.goal, end_reach=np.full((1, 2), 0.01))
+    evidence = dataclasses.replace(evidence, summary=summary)
+    odd = make_demonstration()
+    odd = dataclasses.replace(odd, states=np.vstack([odd.states, odd.states[-1] + [2.0, 0]]))
+    fine = infer(evidence, [odd])
+    assert "not to be trusted" not in fine.headline
+    assert len(fine.warnings) == 1
+    lost = dataclasses.replace(
+        evidence,
+        method="smc",
+        summary=summary._replace(
+            effective_sample_size=np.array([50.0]),
+            avoid_probability=np.full((1, 10), 0.01),
+            log_ratio_error=np.full((1, 10), np.nan),
+        ),
+    )
+    result = infer(lost, [odd])
+    assert result.is_lower_bound.all()
+    assert result.headline.endswith("by samples that are not to be trusted.")
+    (warning,) = result.warnings
+    assert warning.startswith("not to be trusted: the effective sample size is too low")
+
+
+def test_the_verdict_is_about_the_score_that_ranks() -> None:
+    """Of two that are almost certain, probabilities may be told apart where nats cannot."""
+    columns = chances(0.999, 0.9935, 0.5, 0.1, num=2_000)
+    evidence = evidence_of_columns(columns, CELLS)
+    by_nats = infer(evidence, [make_demonstration()])
+    by_average = infer(evidence, [make_demonstration()], score="average")
+    assert by_nats.ranking[:4].tolist() == by_average.ranking[:4].tolist() == [5, 6, 7, 8]
+    assert "not settled" in by_nats.verdict(0)
+    assert by_average.verdict(0) == "settled"
+
+
+def test_more_samples_are_not_asked_for_where_they_change_nothing() -> None:
+    """A bound that samples cannot tell from the next stays one; a number stays as it is."""
+    result = infer(evidence_of_columns(chances(1.0, 0.9985), CELLS), [make_demonstration()])
+    assert result.is_lower_bound[5]
     assert result.verdict(0).endswith("not settled, nor will more samples do it")
 
 
@@ -134,7 +199,7 @@ def right_policy(goal: np.ndarray) -> GridPolicy:
 class Fixed:
     """A nominal of one policy."""
 
-    policy: LookAhead
+    policy: Any
     solver = dataclasses.make_dataclass("Fixing", [])()
 
     @property

@@ -105,14 +105,14 @@ def test_other_settings_are_kept_beside_the_first_and_used_until_others_are_aske
         [diagnostics] = json.loads(out)["diagnostics"]
         return diagnostics["num_trajectories"], diagnostics["method"]
 
-    assert ask("--solver", SOLVER, "--samples", 500, "--seed", 3) == (500, "importance")
+    assert ask("--solver", SOLVER, "--samples", 500, "--seed", 3) == (500, "smc")
     assert ask("--samples", 700, "--method", "plain") == (700, "plain")
     assert ask() == (700, "plain")
     assert ask("--samples", 500) == (500, "plain")
-    assert ask("--method", "importance") == (500, "importance")
+    assert ask("--method", "smc") == (500, "smc")
     assert ask("--samples", 700) == (700, "plain")
     assert {unquote(path.name) for path in work.glob("*.evidence")} == {
-        f"{SOLVER}.seed3.importance.500.evidence",
+        f"{SOLVER}.seed3.smc.500.evidence",
         f"{SOLVER}.seed3.plain.500.evidence",
         f"{SOLVER}.seed3.plain.700.evidence",
     }
@@ -183,6 +183,11 @@ def test_a_change_that_no_source_shows_is_noticed_when_the_problem_is_loaded(
     assert "max_torque=2" in out
     [path] = work.glob("*.evidence")
     assert Evidence.load(path).num_tasks == 2
+    assert f"what {work} held is in {work / 'outdated'} now" in said
+    assert Evidence.load(work / "outdated" / path.name).num_tasks == 1
+    (tmp_path / "data.txt").write_text("1.0")
+    run(*infer(robot, demonstrations[:3], work))
+    assert Evidence.load(work / "outdated" / path.name).num_tasks == 2
 
 
 def test_a_predicate_is_not_judged_by_old_evidence(run: Run, tmp_path: Path) -> None:

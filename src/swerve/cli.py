@@ -63,7 +63,7 @@ Method = Annotated[
     str | None,
     Parameter(
         help="smc, importance or plain, for solvers that are sampled. "
-        "[default: smc for soft-value and distilled, else importance]"
+        "[default: smc, but importance for ppo]"
     ),
 ]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
@@ -83,6 +83,7 @@ def infer(
     seed: Seed = None,
     work: WorkFolder = None,
     report: Path | None = None,
+    no_resolve: bool = False,
     as_json: AsJson = False,
 ) -> None:
     """Rank the hypotheses of a problem by how well they explain demonstrations.
@@ -94,6 +95,8 @@ def infer(
       demonstrations: CSV or Parquet files whose columns include the states' names.
       score: likelihood, or average: the paper's average violation probability.
       report: HTML page to write, with the picture, the ranking and the diagnostics.
+      no_resolve: Leave the score of what next to no trajectory avoids at what the samples tell, a
+        lower bound, instead of working out what avoiding it takes, which may need minutes.
     """
     from swerve.inference import infer as infer_constraints
 
@@ -106,7 +109,8 @@ def infer(
     if not found and asked is not None:
         evidence = _only(evidence, asked)
     result = infer_constraints(evidence, found, score=score)
-    result = infer_constraints(job.resolved(result), found, score=score)
+    if not no_resolve:
+        result = infer_constraints(job.resolved(result), found, score=score)
     _show(result, report, as_json)
 
 
@@ -133,12 +137,14 @@ def fit_beta(
       demonstrations: CSV or Parquet files with the states and the actions.
       confidence: Of the interval.
     """
+    from swerve.diagnosis import data_warnings
+
     job = _work(problem, work, solver, seed, method, samples)
     found = _read(job, demonstrations, tasks)
     if not found:
         raise ValueError("give at least one demonstration: beta is estimated from them")
     evidence = job.evidence(_asked_tasks(job, found, tasks))
-    for warning in swerve.infer(evidence, found).warnings:
+    for warning in data_warnings(swerve.infer(evidence, found)):
         _say(f"warning: {warning}")
     fit = swerve.fit_beta(job.problem, evidence, found, confidence)
     print(json.dumps(fit.to_json()) if as_json else fit)
@@ -158,14 +164,8 @@ def learn(
     Training that is interrupted goes on where it stopped when the same command is given again.
     A picture of how it went is written beside what was learned.
     """
-    from swerve.solvers.training import TrainedNominal
-
     job = _work(problem, work, solver, seed)
     nominal = job.nominal()
-    picture = job.path("training.png")
-    if isinstance(nominal, TrainedNominal) and picture is not None:
-        nominal.plot_training(picture)
-        _say(f"how training went: {picture}")
     _say(f"learned with {nominal.solver!r}; next: swerve sample or swerve infer, --work {work}")
 
 
@@ -184,29 +184,28 @@ def sample(
 ) -> None:
     """Sample the nominal distribution for tasks, so that inference is instant afterwards."""
     from swerve import wording
+    from swerve.diagnosis import data_warnings
+    from swerve.inference import infer as prior
 
     job = _work(problem, work, solver, seed, method, samples)
     evidence = job.evidence(_asked_tasks(job, [], tasks))
-    rows = [
-        {
-            "start": evidence.tasks.start[k].tolist(),
-            "goal": evidence.tasks.goal[k].tolist(),
-            "effective_sample_size": float(evidence.effective_sample_size[k]),
-            "kl": float(evidence.kl[k]),
-            "log_partition": float(evidence.log_partition[k]),
-        }
-        for k in range(evidence.num_tasks)
-    ]
+    inference = prior(evidence)
+    rows = inference.to_json()["diagnostics"]
     if as_json:
         print(json.dumps({"num_trajectories": evidence.num_trajectories, "tasks": rows}))
         return
     print(f"{wording.counted(evidence.num_tasks, 'task')}, {wording.samples(evidence)}")
-    print(f"{'task':>4}  {'ESS':>8}  {'KL [nats]':>9}  {'log Z_0':>9}  start -> goal")
+    print(
+        f"{'task':>4}  {'ESS':>8}  {'KL [nats]':>9}  {'log Z_0':>9}  {'spread':>6}  start -> goal"
+    )
     for k, row in enumerate(rows):
         print(
             f"{k:>4}  {row['effective_sample_size']:>8.0f}  {row['kl']:>9.3f}  "
-            f"{row['log_partition']:>9.3f}  {_numbers(row['start'])} -> {_numbers(row['goal'])}"
+            f"{row['log_partition']:>9.3f}  {row['island_spread']:>6.3f}  "
+            f"{_numbers(row['start'])} -> {_numbers(row['goal'])}"
         )
+    for warning in data_warnings(inference):
+        _say(f"warning: {warning}")
 
 
 @app.command

@@ -35,15 +35,27 @@ def warnings(inference: Inference) -> tuple[str, ...]:
     return (
         *_exhausted(inference),
         *_impossible(inference),
-        *(_tabled(inference) if inference.evidence.is_exact else trust.warnings(inference)),
+        *_of_samples(inference),
+        *(() if inference.evidence.is_exact else trust.hardly_avoided(inference)),
         *_doubts(inference),
     )
 
 
+def data_warnings(inference: Inference) -> tuple[str, ...]:
+    """Return what speaks against samples and demonstrations, whatever they are used for."""
+    return (*_of_samples(inference), *_doubts(inference))
+
+
+def _of_samples(inference: Inference) -> Iterator[str]:
+    is_exact = inference.evidence.is_exact
+    return _tabled(inference) if is_exact else trust.warnings(inference)
+
+
 def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
     """Return what is odd about a demonstration next to nominal trajectories, by kind."""
+    is_known = evidence.is_exact or not evidence.has_too_few[task]
     found = {
-        "end": _odd_end(demonstration, evidence, task),
+        "end": _odd_end(demonstration, evidence, task) if is_known else "",
         "duration": _odd_duration(demonstration, evidence, task),
         "speed": _odd_speed(demonstration, evidence, task),
         "rate": _coarse(demonstration, evidence),

@@ -23,7 +23,7 @@ from swerve.space import Actions, Task
 from swerve.tempering import temper
 from swerve.trajectory import Policy, Trajectory, rollout
 
-CHUNK = 2048  # trajectories rolled out at once: their activations stay in cache
+CHUNK = 1024  # trajectories rolled out at once: their activations stay in cache
 
 
 class Job(NamedTuple):
@@ -40,6 +40,11 @@ class Job(NamedTuple):
     num_trajectories: int
     method: str
     seed: int
+
+    @property
+    def island(self) -> int:
+        """Trajectories of an island, where they are resampled."""
+        return whole_islands(self.num_trajectories)[1]
 
 
 class _Numbers(NamedTuple):
@@ -66,6 +71,16 @@ class _Chunk(NamedTuple):
     violations: np.ndarray
     kept: np.ndarray
     log_total: float
+
+
+def whole_islands(num_trajectories: int) -> tuple[int, int]:
+    """Return how many islands hold at least so many trajectories, and how many are in each.
+
+    None is larger than a chunk, and their number is a multiple of NUM_ISLANDS.
+    """
+    part = -(-num_trajectories // NUM_ISLANDS)
+    split = -(-part // CHUNK)
+    return NUM_ISLANDS * split, -(-part // split)
 
 
 def draw_task(job: Job, run_all: Callable, advance: Callable[..., None]) -> Samples:
@@ -97,10 +112,11 @@ def _chunk_sizes(job: Job) -> list[int]:
     A chunk of trajectories that are resampled is made of whole islands.
     """
     if job.method in RESAMPLED:
-        island = job.num_trajectories // NUM_ISLANDS
-        fit = [k for k in range(1, NUM_ISLANDS + 1) if NUM_ISLANDS % k == 0 and k * island <= CHUNK]
-        num_islands = max(fit, default=1)
-        return [num_islands * island] * (NUM_ISLANDS // num_islands)
+        num_islands, island = whole_islands(job.num_trajectories)
+        at_once = CHUNK // island
+        while num_islands % at_once:
+            at_once -= 1
+        return [at_once * island] * (num_islands // at_once)
     num_chunks = -(-job.num_trajectories // CHUNK)
     size = -(-job.num_trajectories // num_chunks)
     return [min(size, job.num_trajectories - k * size) for k in range(num_chunks)]
@@ -125,7 +141,7 @@ def _sample_chunk(job: Job, key: jax.Array, size: int, used: int) -> _Chunk:
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
     particles = None
     if job.method in RESAMPLED:
-        island = job.num_trajectories // NUM_ISLANDS
+        island = job.island
         if job.method == TEMPERED:
             particles = temper(
                 problem,
@@ -172,13 +188,12 @@ def _numbers(job: Job, trajectory: Trajectory, particles: Particles | None, used
     )
     if particles is None:
         return numbers
-    island = job.num_trajectories // NUM_ISLANDS
     log_weight = np.asarray(particles.log_weight, np.float64)
     drawn_by = log_weights(job.record, numbers)
     allowed = np.isfinite(drawn_by)
     return numbers._replace(
         log_correction=np.where(allowed, log_weight - np.where(allowed, drawn_by, 0.0), 0.0),
-        ancestor=np.asarray(particles.root, int) + island * (np.arange(used) // island),
+        ancestor=np.asarray(particles.root, int) + job.island * (np.arange(used) // job.island),
     )
 
 

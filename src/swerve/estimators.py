@@ -60,6 +60,10 @@ def grouped_variance(
     return len(members) / (len(members) - 1) * (deviation**2).sum(axis=0)
 
 
+LOW_ESS_SHARE = 0.02
+LOW_ESS = 100.0
+
+
 class NothingLeftError(ValueError):
     """Every sampled trajectory enters a known constraint."""
 
@@ -206,6 +210,11 @@ def avoid_probability(
     # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
     variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
     return Estimate(avoided, variance)
+
+
+def least_effective(num_trajectories: int) -> float:
+    """Return the least effective sample size to be trusted, of N trajectories."""
+    return max(LOW_ESS, LOW_ESS_SHARE * num_trajectories)
 
 
 def log_ratio(estimate: Estimate, resolution: Any) -> LogRatio:

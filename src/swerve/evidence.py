@@ -11,6 +11,7 @@ Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, n states, 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -110,6 +111,11 @@ class Evidence:
         return 1.0 / self.effective_sample_size
 
     @property
+    def has_too_few(self) -> np.ndarray:
+        """[K] True where the effective sample size is too low for anything to be trusted."""
+        return self.effective_sample_size < estimators.least_effective(self.num_trajectories)
+
+    @property
     def is_floored(self) -> np.ndarray:
         """[K, H] True where less than one trajectory's share avoids a hypothesis.
 
@@ -196,6 +202,11 @@ class Evidence:
         is_lost = np.isneginf(log_partition)
         spread = np.where(is_lost, 0.0, log_partition).std(axis=1)
         return np.where(is_lost.any(axis=1), np.inf, spread)
+
+    @property
+    def log_partition_error(self) -> np.ndarray:
+        """[K] standard error of `log_partition` by how far islands agree, nats."""
+        return self.island_spread / math.sqrt(self.island_log_partition.shape[1])
 
     @cached_property
     def log_weight(self) -> np.ndarray:

@@ -12,6 +12,7 @@ Shapes: D demonstrations, K tasks, H hypotheses.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +30,8 @@ from swerve.judging import judge
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
 ROUNDING = 9  # digits of a score, beyond which two are the same
+FEW_AVOID = 0.5  # nats: standard error of a ratio that less than four trajectories tell of
+SETTLED = 0.09  # nats: standard error of a ratio worked out with a constraint in force
 TABLE_ROWS = 10
 
 
@@ -90,12 +93,6 @@ class Inference:
         return self.task_counts @ self.evidence.violation_probability / self.task_counts.sum()
 
     @cached_property
-    def average_standard_error(self) -> np.ndarray:
-        """[H] standard error of `average_violation`."""
-        variance = self.task_counts**2 @ self.evidence.summary.avoid_variance
-        return np.sqrt(variance) / self.task_counts.sum()
-
-    @cached_property
     def is_lower_bound(self) -> np.ndarray:
         """[H] True where almost every nominal trajectory of a task enters: see `is_floored`."""
         floored = self.evidence.is_floored & (self.task_counts > 0)[:, None]
@@ -103,13 +100,17 @@ class Inference:
 
     @cached_property
     def is_open(self) -> np.ndarray:
-        """[K, H] True where a ratio that matters to the ranking is a bound that can be resolved.
+        """[K, H] True where `resolve` can help: a ratio that matters is a bound, or few avoid.
 
-        See `resolve`. Not where that was tried, nor where a task starts inside a hypothesis.
+        Not where that was tried, where a task starts inside a hypothesis, nor where log Z_0 itself
+        is not well enough known: half of the error may be its.
         """
-        evidence, used = self.evidence, self.task_counts > 0
+        evidence = self.evidence
+        able = (self.task_counts > 0) & ~evidence.has_too_few
+        able &= evidence.log_partition_error < SETTLED / math.sqrt(2.0)
         untried = np.isnan(evidence.summary.log_ratio_error)
-        is_open = evidence.is_floored & untried & used[:, None] & ~self.struck_out
+        is_open = evidence.standard_error > FEW_AVOID
+        is_open &= untried & able[:, None] & ~self.struck_out
         for index in np.flatnonzero(is_open.any(axis=0)).tolist():
             constraint = evidence.problem.hypotheses.constraint(index)
             is_open[:, index] &= ~constraint.contains(evidence.tasks.start, evidence.problem.space)
@@ -122,12 +123,18 @@ class Inference:
             return self.log_likelihood
         return np.where(self.struck_out, -np.inf, self.average_violation)
 
-    @property
-    def score_error(self) -> np.ndarray:
-        """[H] standard error of `score`."""
+    @cached_property
+    def task_error(self) -> np.ndarray:
+        """[K, H] what the demonstrations of each task add to the standard error of `score`."""
         if self.score_name == "likelihood":
-            return self.standard_error
-        return self.average_standard_error
+            return self.task_counts[:, None] * self.evidence.standard_error
+        share = self.task_counts[:, None] / self.task_counts.sum()
+        return np.asarray(share * np.sqrt(self.evidence.summary.avoid_variance))
+
+    @cached_property
+    def score_error(self) -> np.ndarray:
+        """[H] standard error of `score`; tasks are sampled independently."""
+        return np.linalg.norm(self.task_error, axis=0)
 
     @cached_property
     def ranking(self) -> np.ndarray:

@@ -28,6 +28,7 @@ from swerve.problem import Problem
 from swerve.trajectory import take_step
 
 FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
+LOWEST = -1e4  # nats: lower values are not told apart; sums in float32 would lose their digits
 
 
 class ValuedPolicy(eqx.Module):

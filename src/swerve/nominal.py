@@ -27,6 +27,7 @@ from swerve.solvers.tabular import Tabular
 from swerve.space import Task
 from swerve.specification import Specification, build
 from swerve.systems.tabular import TabularMDP
+from swerve.tasks import checked_tasks
 from swerve.trajectory import Policy
 
 KIND = "swerve-nominal"
@@ -135,7 +136,7 @@ def learn(
     problem: Problem,
     solver: str | Solver | None = None,
     *,
-    tasks: Task | None = None,
+    tasks: Task | Sequence[Task] | None = None,
     seed: int = 0,
     progress: bool = False,
     checkpoint: str | Path | None = None,
@@ -147,7 +148,8 @@ def learn(
       solver: a solver such as `swerve.PPO(num_steps=20_000_000)`, or its name, with parameters as
         in "ppo?num_steps=2e7"; None takes tables if the MDP is tabular, else the grid for up to 3
         state dimensions, else soft value networks.
-      tasks: those on which solvers that train report their progress; drawn from the MDP if None.
+      tasks: those on which solvers that train report their progress, as for `sample`; drawn from
+        the MDP if None.
       seed: of everything random.
       progress: whether to show a progress bar.
       checkpoint: a file that training writes as it goes and resumes from.
@@ -156,8 +158,8 @@ def learn(
       The nominal distribution, ready for `sample` with any tasks.
 
     Raises:
-      ValueError: if an argument is of the wrong kind, there is no such solver, or it cannot solve
-        this problem.
+      ValueError: if an argument is of the wrong kind, there is no such solver, it cannot solve this
+        problem, or a task is not one of it.
     """
     instance(
         problem,
@@ -175,7 +177,8 @@ def learn(
         )
     seed = whole_number(seed, "seed", 0)
     path = Path(checkpoint) if checkpoint is not None else None
-    return chosen.learn(problem, tasks=tasks, seed=seed, progress=progress, checkpoint=path)
+    batch = None if tasks is None else checked_tasks(problem, tasks)
+    return chosen.learn(problem, tasks=batch, seed=seed, progress=progress, checkpoint=path)
 
 
 def resolve_solver(text: str) -> Solver:

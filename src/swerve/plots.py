@@ -131,7 +131,7 @@ def plot_ranking(
         text = f"{wording.rank(inference, row)}   {text}{tied}"
         axes.text(0.005 * reach, row - 0.25, text, va="bottom", **style)
         end = score[row] + error[row] + 0.015 * reach
-        axes.text(end, row, wording.measured(score[row], error[row]), va="center", **style)
+        axes.text(end, row, wording.number(inference, index), va="center", **style)
     axes.set(xlim=(0, reach / (1 - 0.95 / width)), ylim=(len(shown) - 0.6, -0.75), yticks=[])
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)

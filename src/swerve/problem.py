@@ -17,7 +17,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swerve.arguments import positive_number
 from swerve.constraints import Constraint, check_constraints
 from swerve.hypotheses import (
     ConstraintHypotheses,
@@ -87,8 +87,7 @@ class Problem:
         if not isinstance(self.hypotheses, HypothesisSet):
             check_constraints(self.hypotheses, space, action_names, "hypotheses")
             object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))
-        if not (math.isfinite(self.beta) and self.beta >= 0):
-            raise ValueError(f"beta: expected a number >= 0, got {self.beta}")
+        positive_number(self.beta, "beta")
         if self.measure not in MEASURES:
             raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
         self.hypotheses.check(space, action_names)

@@ -23,7 +23,7 @@ from swerve import plots, store, wording
 from swerve.boxes import interval_name
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
-from swerve.trust import least_effective
+from swerve.trust import is_untrusted
 
 MAX_HYPOTHESES = 50  # rows of the ranking
 MAX_TASKS = 100  # rows of the diagnostics
@@ -57,8 +57,9 @@ th, td { padding: .3rem .7rem .3rem 0; text-align: left; vertical-align: top;
   border-bottom: 1px solid var(--line); }
 th { color: var(--faint); font-weight: 600; vertical-align: bottom; }
 td.name { min-width: 11rem; max-width: 30rem; overflow-wrap: anywhere; }
-.number { text-align: right; white-space: nowrap; }
-td.vector { white-space: nowrap; }
+.number { text-align: right; }
+td.number, td.vector { white-space: nowrap; }
+td.verdict { min-width: 7rem; }
 tr.first td { background: var(--band); font-weight: 600; }
 tr.low td { color: var(--alarm); font-weight: 600; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .3rem 1.2rem; margin: 0; }
@@ -109,7 +110,7 @@ def page(inference: Inference) -> str:
 def _meaning(inference: Inference) -> str:
     """Say in plain numbers what the score means and how far behind the next one is."""
     ranking, score = inference.ranking, inference.score
-    if not len(ranking) or not inference.demonstrations:
+    if not len(ranking) or not inference.demonstrations or is_untrusted(inference):
         return ""
     first = ranking[0]
     if inference.score_name == "average":
@@ -118,9 +119,10 @@ def _meaning(inference: Inference) -> str:
             f"{score[first]:.2g} on average; no demonstration did."
         )
     else:
+        least = "at least " if inference.is_lower_bound[first] else ""
         text = (
-            f"The demonstrations are {_times(float(score[first]))} times as likely under this "
-            "constraint as under none."
+            f"The demonstrations are {least}{_times(float(score[first]))} times as likely under "
+            "this constraint as under none."
         )
     behind = ranking[len(inference.leaders) :]
     if len(behind):
@@ -149,10 +151,9 @@ def _warnings(inference: Inference) -> str:
 def _main_picture(inference: Inference) -> str:
     wide = plots.plot_inference(inference, has_header=False)
     narrow = plots.plot_inference(inference, width=PHONE, has_header=False)
-    caption = (
-        "Shaded: how well each hypothesis explains the demonstrations. Hatched: struck out, since "
-        "a demonstration enters it."
-    )
+    caption = "Shaded: how well each hypothesis explains the demonstrations."
+    if inference.struck_out.any():
+        caption += " Hatched: struck out, since a demonstration enters it."
     if not inference.demonstrations:
         caption = "Shaded: how much a demonstration of every task that kept out would say."
     caption += " Grey lines: what would be done without any constraint."
@@ -215,35 +216,36 @@ def _tasks(inference: Inference) -> str:
     shown, ess = used, evidence.effective_sample_size
     if len(used) > MAX_TASKS:
         shown = np.sort(used[np.argsort(ess[used], kind="stable")[:MAX_TASKS]])
-    low = least_effective(evidence.num_trajectories)
+    low = evidence.has_too_few
     rows = []
     for task in shown.tolist():
         cells = (
             _demonstration_names(inference, task),
+            inference.verdict(task),
             _vector(evidence.tasks.start[task]),
             _vector(evidence.tasks.goal[task]),
             "exact"
             if evidence.is_exact
-            else f"{ess[task]:,.0f} of {evidence.num_trajectories:,}"
-            f"{', low' * bool(ess[task] < low)}",
+            else f"{ess[task]:,.0f} of {evidence.num_trajectories:,}{', low' * bool(low[task])}",
             f"{evidence.kl[task]:.2f}",
             f"{evidence.log_partition[task]:.2f}",
-            evidence.method,
-            inference.verdict(task),
+            f"{evidence.island_spread[task]:.3f}",
+            f"{evidence.distinct_share[task]:.0%}",
         )
-        rows.append(("low" if ess[task] < low else "", cells))
+        rows.append(("low" if low[task] else "", cells))
     head = (
         "demonstrations" if inference.demonstrations else "task",
+        "verdict",
         f"start ({', '.join(problem.space.names)})",
         f"goal ({', '.join(problem.goal_names)})",
         "effective sample size",
         "KL [nats]",
         "log Z_0 [nats]",
-        "weights",
-        "verdict",
+        "spread [nats]",
+        "ancestors",
     )
     more = _more(len(used) - len(rows), "task", " with a larger effective sample size")
-    table = _table(head, rows, {0: "name", 1: "vector", 2: "vector", 6: "", 7: ""})
+    table = _table(head, rows, {0: "name", 1: "verdict", 2: "vector", 3: "vector"})
     return f"<h2>Tasks</h2>{table}{more}"
 
 
@@ -302,7 +304,10 @@ them obey it cannot be. <strong>Tied</strong> are hypotheses whose scores differ
 {TIE_ERRORS:g} times the sum of their standard errors: the order among them says nothing.</p>
 <p>The <strong>effective sample size</strong> and the <strong>KL</strong> divergence (0 at best)
 tell how well the policy that was sampled matches the nominal distribution. They are alarms, not
-proof: they cannot see a way of reaching the goal that was never sampled.</p>"""
+proof: they cannot see a way of reaching the goal that was never sampled. The
+<strong>spread</strong> is the standard deviation of log Z_0 between independent parts of the
+samples, and <strong>ancestors</strong> are the trajectories, of those begun, that any of the
+samples goes back to.</p>"""
 
 
 def _table(

@@ -1,8 +1,9 @@
 """Near-certain violations: hypotheses that hardly any nominal trajectory avoids.
 
-Where all samples enter c they only say that Z_c / Z_0 is small. What driving round c would cost is
-then told with c in force: the solver adapts what it learned to pi_c, the MDP with c among the known
-constraints, and sequential Monte Carlo with the adapted soft value gives Z_c,
+Where all samples enter c they only say that Z_c / Z_0 is small; where two or three do not, chance
+says how small. What driving round c would cost is then told with c in force: the solver adapts what
+it learned to pi_c, the MDP with c among the known constraints, and sequential Monte Carlo with the
+adapted soft value gives Z_c,
 
     log(Z_c / Z_0) = log Z_c - log Z_0,
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -24,31 +25,24 @@ import numpy as np
 from swerve.demonstrations import Demonstration
 from swerve.estimators import NothingLeftError
 from swerve.evidence import Evidence
-from swerve.inference import infer
+from swerve.inference import SETTLED, infer
 from swerve.nominal import Nominal, Solver
 from swerve.problem import Problem
 from swerve.progress import progress_bar
-from swerve.samples import NUM_ISLANDS
 from swerve.sampling import sample
 from swerve.space import Task
-from swerve.trust import LOW_ESS
 
-NUM_TRAJECTORIES = 2_000  # a task and hypothesis
-SETTLED = 0.15  # nats: standard error of a ratio that is taken
+NUM_TRAJECTORIES = 2_000, 10_000  # a task and hypothesis; the second where the first do not settle
+LEAST_SHARE = 0.05  # of them that must be effective: what next to nothing is left of comes out low
+UNLIKELY = 1e-3  # probability of as few or as many samples that avoid a hypothesis as there are
 
 
 @runtime_checkable
 class AdaptingSolver(Solver, Protocol):
-    """A solver whose soft value can be adapted to more known constraints.
+    """A solver whose soft value can be adapted to more known constraints."""
 
-    Attributes:
-      adapting_rounds: how often it is worth while to go on adapting.
-    """
-
-    adapting_rounds: int
-
-    def adapt(self, nominal: Any, problem: Problem, seed: int) -> Nominal:
-        """Return the nominal distribution of a problem with more known constraints."""
+    def adapted(self, nominal: Any, problem: Problem, seed: int) -> Iterator[Nominal]:
+        """Yield the nominal distribution of a problem with more known constraints, ever better."""
         ...
 
 
@@ -65,15 +59,16 @@ def resolve(
 
     Args:
       nominal: what the evidence was sampled from.
-      evidence: in which almost every trajectory enters some hypotheses.
+      evidence: in which next to no trajectory avoids some hypotheses.
       demonstrations: whose ranking is wanted; hypotheses that one of them enters are left out.
       seed: of everything random.
       progress: whether to show a progress bar.
       keep: called with what there is after each hypothesis, since all of them may take long.
 
     Returns:
-      The evidence with numbers in place of bounds. The bound remains where even with c in force no
-      trajectory avoids it, or not well enough known how many do.
+      The evidence with numbers worked out in place of bounds, and of what two or three trajectories
+      say. These remain where even with c in force no trajectory avoids it, or it is not well enough
+      known how many do: `log_ratio_error` of the summary is then infinite.
 
     Raises:
       ValueError: if the nominal has no soft value, or is of another problem.
@@ -124,33 +119,47 @@ def _ratio(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return log Z_c / Z_0 and its standard error [K] for all tasks of evidence, nats.
 
-    The error is infinite where that did not settle it.
+    The error is infinite where that did not settle it, or contradicts the samples without c, which
+    know next to nothing of who avoids it, but not nothing.
     """
     problem, solver = nominal.problem, nominal.solver
     assert isinstance(solver, AdaptingSolver)
     constraint = problem.hypotheses.constraint(index)
     narrower = dataclasses.replace(problem, known=[*problem.known, constraint])
     log_ratio, error = np.zeros(evidence.num_tasks), np.full(evidence.num_tasks, np.inf)
-    own_error = evidence.island_spread / NUM_ISLANDS**0.5
-    for number in range(solver.adapting_rounds):
-        left = np.flatnonzero(np.isinf(error) & (own_error < SETTLED)).tolist()
-        if not left:
-            break
-        nominal = solver.adapt(nominal, narrower, seed + number)
-        for k in left:
-            avoiding = _sampled(nominal, evidence.select([k]).tasks, seed)
+    for adapted in solver.adapted(nominal, narrower, seed):
+        for k in np.flatnonzero(np.isinf(error)).tolist():
+            avoiding = _settled(adapted, evidence.select([k]).tasks, seed)
             if avoiding is None:
                 continue
-            found = math.hypot(avoiding.island_spread[0] / NUM_ISLANDS**0.5, own_error[k])
-            if found < SETTLED and avoiding.effective_sample_size[0] >= LOW_ESS:
-                log_ratio[k] = avoiding.log_partition[0] - evidence.log_partition[k]
-                error[k] = found
+            found = avoiding.log_partition[0] - evidence.log_partition[k]
+            if _is_likely(evidence, k, index, found):
+                of_both = avoiding.log_partition_error[0], evidence.log_partition_error[k]
+                log_ratio[k], error[k] = found, math.hypot(*of_both)
+        if np.isfinite(error).all():
+            break
     return log_ratio, error
 
 
-def _sampled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
-    """Return evidence of one task, None where no trajectory is left."""
-    try:
-        return sample(nominal, task, NUM_TRAJECTORIES, method="smc", seed=seed)
-    except NothingLeftError:
-        return None
+def _settled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
+    """Return evidence of one task whose log Z is well known, None where its samples do not tell."""
+    for num in NUM_TRAJECTORIES:
+        try:
+            evidence = sample(nominal, task, num, method="smc", seed=seed)
+        except NothingLeftError:
+            return None
+        if evidence.effective_sample_size[0] < LEAST_SHARE * evidence.num_trajectories:
+            return None
+        if evidence.log_partition_error[0] < SETTLED / math.sqrt(2.0):
+            return evidence
+    return None
+
+
+def _is_likely(evidence: Evidence, task: int, index: int, log_ratio: float) -> bool:
+    """Return whether a ratio agrees with how few trajectories avoid the hypothesis, by Poisson."""
+    seen = 0
+    if not evidence.is_floored[task, index]:
+        seen = round(evidence.standard_error[task, index] ** -2)
+    expected = math.exp(log_ratio) / evidence.resolution[task]
+    terms = [math.exp(-expected) * expected**k / math.factorial(k) for k in range(seen + 1)]
+    return sum(terms) > UNLIKELY and 1.0 - sum(terms[:-1]) > UNLIKELY

@@ -19,7 +19,6 @@ RESAMPLED = ("smc", TEMPERED)  # methods whose trajectories are those of pi_0, i
 REWEIGHED = ("importance", "plain")  # methods that share trajectories
 SMC_SOLVERS = ("grid", "soft-value", "distilled")  # whose policies have a soft value
 ADAPTING_SOLVERS = ("grid", "soft-value")  # that can go on with more known constraints
-SMC_BY_DEFAULT = ("soft-value", "distilled")  # a grid's value leaves hardly anything to resample
 NUM_ISLANDS = 20  # parts of the trajectories of a task that have nothing to do with one another
 EXACT = "exact"  # what the method of evidence is called that a solver gave without sampling
 NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures

@@ -11,6 +11,7 @@ dimensions.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import zlib
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from swerve.arguments import positive_number, whole_number
-from swerve.drawing import Job, draw_task
+from swerve.drawing import Job, draw_task, whole_islands
 from swerve.estimators import NothingLeftError
 from swerve.evidence import Evidence
 from swerve.exact import exact_evidence
@@ -31,9 +32,7 @@ from swerve.progress import progress_bar
 from swerve.samples import (
     EXACT,
     METHODS,
-    NUM_ISLANDS,
     RESAMPLED,
-    SMC_BY_DEFAULT,
     SMC_SOLVERS,
     TEMPERED,
     summarise,
@@ -62,8 +61,9 @@ def sample(
       method: "importance" weighs each trajectory by target over proposal, so that the answer is
         right however imperfect the policy, as long as it covers all modes; "smc" resamples them by
         weight on the way as well (sequential Monte Carlo; N is then rounded up to a multiple of
-        20), for solvers with a soft value, and the default of "soft-value" and "distilled"; "plain"
-        weighs all alike, as the paper does. Solvers that give exact answers take none of these.
+        20), for solvers with a soft value ("grid", "soft-value", "distilled"), whose default it is;
+        "plain" weighs all alike, as the paper does. Solvers that give exact answers take none of
+        these.
       beta: of the demonstrator, where it is not the one that was learned for. A soft value that
         was learned for a span of beta is used as it is; else the trajectories are brought there by
         way of as many temperatures between as it takes (the paper, Theorem 2; see `tempering`),
@@ -124,7 +124,7 @@ def sample_each(
         yield from _answer_each(nominal, tasks, method, seed, progress)
     elif isinstance(nominal, PolicyNominal):
         if method is None:
-            method = "smc" if nominal.solver.name in SMC_BY_DEFAULT else "importance"
+            method = "smc" if nominal.solver.name in SMC_SOLVERS else "importance"
         if method not in METHODS and beta is None:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         record = nominal.problem.record
@@ -178,8 +178,8 @@ def _sample_each(
     """Yield the evidence of each task, sampled for the beta of a record."""
     batch = checked_tasks(nominal.problem, tasks)
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 2)
-    if method in RESAMPLED:  # islands of the same size
-        num_trajectories = NUM_ISLANDS * -(-num_trajectories // NUM_ISLANDS)
+    if method in RESAMPLED:
+        num_trajectories = math.prod(whole_islands(num_trajectories))
     seed = whole_number(seed, "seed", 0)
     _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)

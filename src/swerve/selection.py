@@ -68,7 +68,8 @@ def greedy(
 
     Args:
       source: sampled evidence, whose trajectories are reweighed for what is picked; or the nominal
-        distribution of an exact solver, which is worked out anew with it in force.
+        distribution of an exact solver, which is worked out anew with it in force. What `resolve`
+        worked out counts for the first pick; those after it are told by trajectories alone.
       demonstrations: at least one.
       threshold: least gain [nats a demonstration].
       most: picks at most; any number if None.

@@ -6,7 +6,7 @@ import dataclasses
 from typing import Any
 
 from swerve.arguments import whole_number
-from swerve.samples import EXACT, METHODS, NUM_KEPT, SMC_BY_DEFAULT
+from swerve.samples import EXACT, METHODS, NUM_KEPT, SMC_SOLVERS
 from swerve.specification import Specification
 
 EXACT_SOLVERS = ("enumeration", "tabular", "discrete")
@@ -19,7 +19,8 @@ class Settings:
     Attributes:
       solver: a solver specification (default: `nominal.default_solver`).
       seed: of learning and sampling (default 0).
-      method: "smc" (default of soft-value), "importance" (of others that sample) or "plain".
+      method: "smc" (default of solvers with a soft value), "importance" (of others that sample) or
+        "plain".
       num_trajectories: N a task (default 10,000).
 
     Raises:
@@ -41,6 +42,13 @@ class Settings:
             )
         if self.method not in (None, *METHODS, *([EXACT] if exact else [])):
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if self.method == "smc" and self.solver is not None:
+            name = Specification.parse(self.solver).target
+            if name not in SMC_SOLVERS:
+                raise ValueError(
+                    f"method: 'smc' needs a solver with a soft value ({', '.join(SMC_SOLVERS)}), "
+                    f"got {name!r}: use 'importance'"
+                )
         if exact and self.num_trajectories not in (None, NUM_KEPT):
             raise ValueError(
                 f"samples: solver {self.solver!r} gives exact answers, leave "
@@ -88,4 +96,4 @@ def _default_method(solver: str) -> str:
     name = Specification.parse(solver).target
     if name in EXACT_SOLVERS:
         return EXACT
-    return "smc" if name in SMC_BY_DEFAULT else "importance"
+    return "smc" if name in SMC_SOLVERS else "importance"

@@ -28,11 +28,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from swerve.look_ahead import ValuedPolicy, log_measure
+from swerve.look_ahead import LOWEST, ValuedPolicy, log_measure
 from swerve.problem import Problem
 from swerve.trajectory import Trajectory, draw_action, take_step
 
-LEAST = -1e4  # nats: lower values would swallow the digits of weights; any value is unbiased
 RESAMPLED = 0.5  # of an island's particles: where fewer are effective, it is resampled
 
 
@@ -112,7 +111,7 @@ def smc_rollout(
     def advance(carry: tuple[_Particle, Array], x: tuple) -> tuple[tuple[_Particle, Array], tuple]:
         (particles, log_mean), (step, uniform, offset) = carry, x
         proposed = propose(particles.state, step, goal)
-        proposed = (proposed[0], jnp.maximum(proposed[1], LEAST))
+        proposed = (proposed[0], jnp.maximum(proposed[1], LOWEST))
         gain = particles.owed + jnp.where(particles.ended, 0.0, proposed[1])
         particles = particles._replace(log_weight=particles.log_weight + gain)
         particles, proposed, mean, ancestor = _resampled(particles, proposed, offset)

@@ -25,12 +25,13 @@ import numpy as np
 
 from swerve.arguments import instance
 from swerve.demonstrations import Demonstration
+from swerve.estimators import least_effective
 from swerve.evidence import Evidence
 from swerve.inference import infer
 from swerve.problem import Problem
 from swerve.rewards import total_rewards
 from swerve.samples import islands
-from swerve.trust import HOTTEST, least_effective
+from swerve.trust import HOTTEST
 
 ROUNDING = 1e-5  # relative, of total rewards in float32: closer ones are the same
 MILD = 0.5  # nats: standard deviation of a change of log-weights that does no harm
@@ -46,23 +47,26 @@ class BetaFit:
 
     Attributes:
       beta: nats per unit of reward. Infinite where the demonstrations earn no less than the best
-        trajectories sampled, so that the likelihood grows with beta for ever; 0 where they earn no
-        more than acting at random does. Either is "at the boundary", and no estimate.
+        trajectories sampled, so that by these the likelihood grows with beta for ever (those of a
+        higher beta may tell another story); 0 where they earn no more than acting at random does.
+        Either is "at the boundary", and no estimate.
       interval: the betas (low, high) whose log L is less than chi2_1(confidence) / 2 below the
         maximum, or where beta is infinite below that at the highest beta to be trusted. An end that
         lies where no beta is to be trusted is 0 or infinite. Sampling error is not part of it.
       standard_error: of beta, from sampling alone; NaN at the boundary.
       trusted: the betas (low, high) between which enough samples count in every task.
+      confidence: of the interval.
     """
 
     beta: float
     interval: tuple[float, float]
     standard_error: float
     trusted: tuple[float, float]
+    confidence: float
 
     @property
     def at_boundary(self) -> bool:
-        """Whether the likelihood has no maximum between 0 and infinity."""
+        """Whether the likelihood, by these samples, has no maximum between 0 and infinity."""
         return self.beta == 0.0 or math.isinf(self.beta)
 
     def __str__(self) -> str:
@@ -70,14 +74,18 @@ class BetaFit:
         if math.isinf(self.beta):
             return (
                 f"beta at the boundary: at least {low:.3g}, as the demonstrations earn no less "
-                "than the best trajectories sampled"
+                f"than the best trajectories sampled: sample at beta {self.trusted[1]:.3g} and fit "
+                "again to tell more"
             )
         if self.beta == 0.0:
             return (
                 f"beta at the boundary: {_range(low, high)}, as the demonstrations earn no more "
                 "than acting at random does"
             )
-        return f"beta {self.beta:.3g} ({_range(low, high)})"
+        return (
+            f"beta {self.beta:.3g}, {100 * self.confidence:g} % interval {_range(low, high)}, "
+            f"standard error from sampling alone {self.standard_error:.2g}"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the fit as JSON data, with None for what is infinite or no number."""
@@ -88,6 +96,7 @@ class BetaFit:
             "standard_error": self.standard_error,
             "trusted_low": self.trusted[0],
             "trusted_high": self.trusted[1],
+            "confidence": self.confidence,
         }
         finite = {name: x if math.isfinite(x) else None for name, x in numbers.items()}
         return finite | {"at_boundary": self.at_boundary}
@@ -132,7 +141,8 @@ def fit_beta(
     error = math.nan
     if 0.0 < beta < math.inf:
         error = found.score_error / found.curvature
-    return BetaFit(beta, _interval(likelihood, beta, trusted, drop), error, trusted)
+    interval = _interval(likelihood, beta, trusted, drop)
+    return BetaFit(beta, interval, error, trusted, confidence)
 
 
 class Point(NamedTuple):
@@ -210,11 +220,16 @@ class Likelihood:
         return 1.0 / (together**2).sum(axis=1)
 
     @property
-    def best_earned(self) -> float:
-        """What the best samples of the demonstrations' tasks earn."""
+    def best_earned(self) -> np.ndarray:
+        """[K] what the best sample of each task earns."""
         allowed = np.isfinite(self.log_weight)
-        best = np.where(allowed, self.total_reward, -np.inf).max(axis=1)
-        return float(self.counts @ best)
+        return np.where(allowed, self.total_reward, -np.inf).max(axis=1)
+
+    @property
+    def earns_most(self) -> bool:
+        """Whether the demonstrations earn no less than the best samples, but for rounding."""
+        scale = np.maximum(np.abs(self.best_earned), self.total_reward.std(axis=1))
+        return bool(self.earned >= self.counts @ (self.best_earned - ROUNDING * scale))
 
 
 def _of_problem(evidence: Evidence, problem: Problem) -> Evidence:
@@ -234,8 +249,6 @@ def _of_problem(evidence: Evidence, problem: Problem) -> Evidence:
             "evidence: expected that of the problem, whose beta alone may differ, got evidence of "
             f"{evidence.problem.summary} for {record.summary}"
         )
-    if evidence.sampling_beta == 0.0:
-        raise ValueError("evidence: expected samples drawn for a beta > 0, got 0: sample anew")
     return dataclasses.replace(evidence, problem=record)
 
 
@@ -275,7 +288,7 @@ def _best(likelihood: Likelihood, trusted: tuple[float, float]) -> float:
       ValueError: if it is none of the betas to be trusted.
     """
     low, high = trusted
-    if likelihood.earned >= likelihood.best_earned - ROUNDING * abs(likelihood.best_earned):
+    if likelihood.earns_most:
         return math.inf
     if low == 0.0 and likelihood.at(0.0).score <= 0.0:
         return 0.0
@@ -283,8 +296,8 @@ def _best(likelihood: Likelihood, trusted: tuple[float, float]) -> float:
         if sign * likelihood.at(edge).score > 0.0:
             raise ValueError(
                 f"the likelihood of the demonstrations is greatest {where} beta {edge:.3g}, for "
-                "which the samples are not to be trusted: sample at that beta, "
-                f"swerve.sample(nominal, tasks, beta={edge:.3g}), and fit again"
+                "which the samples are not to be trusted: sample at that beta (a problem of it, or "
+                f"swerve.sample(nominal, tasks, beta={edge:.3g})) and fit again"
             )
     return _halved(lambda beta: likelihood.at(beta).score > 0.0, low, high)
 

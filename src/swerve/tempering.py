@@ -32,7 +32,7 @@ from swerve.trajectory import Policy, Trajectory, draw_action, take_step
 
 EFFECTIVE = 0.5  # share of the trajectories that stays effective from one temperature to the next
 NUM_MOVES = 4  # of each trajectory at each temperature
-MAX_TEMPERATURES = 100
+MAX_TEMPERATURES = 300
 
 
 class _Paths(NamedTuple):
@@ -70,23 +70,29 @@ def temper(
       N = I P particles, those of an island after one another and of the same weight.
 
     Raises:
-      ValueError: if they do not get there in MAX_TEMPERATURES.
+      TemperingError: if they do not get there in MAX_TEMPERATURES.
     """
     chains = _Chains(problem, policy, task, num_islands, num_particles, seed)
     chains.resample(chains.log_weight(chains.paths, problem.beta))
     at = problem.beta
     for _ in range(MAX_TEMPERATURES):
+        if not chains.is_alive.any():
+            return chains.particles
         chains.move(at)
-        step = _next_step(chains.reward, beta - at)
+        step = _next_step(chains.reward[chains.is_alive], beta - at)
         chains.resample(step * chains.reward)
         if step == beta - at:
             chains.move(beta)
             return chains.particles
         at += step
-    raise ValueError(
+    raise TemperingError(
         f"tempering from beta {problem.beta:g} towards {beta:g} came only to {at:g} in "
         f"{MAX_TEMPERATURES} temperatures: learn at a beta nearer to it"
     )
+
+
+class TemperingError(ValueError):
+    """Too many temperatures lie between the problem's beta and the one that is wanted."""
 
 
 class _Chains:
@@ -115,8 +121,13 @@ class _Chains:
         self.paths = self.grow(_unmoved(problem, task, len(self.own)), 0)
 
     @property
+    def is_alive(self) -> np.ndarray:
+        """[N] whether a trajectory's island has one that enters no known constraint."""
+        return np.isfinite(self.log_mean).repeat(len(self.own) // len(self.log_mean))
+
+    @property
     def reward(self) -> np.ndarray:
-        """[N] R(xi), 0 for those that enter a known constraint: no weight is left of these."""
+        """[N] R(xi), 0 for those that enter a known constraint: their islands are dead."""
         reward = _sum(self.paths.reward)
         return np.where(np.isneginf(reward), 0.0, reward)
 

@@ -7,8 +7,9 @@ of scores may have shared evenly among the K tasks in use, task k needs
 
     N_k = N K (n_k e_k / gap)^2
 
-trajectories, e_k being twice the sum of the standard errors of one of its n_k demonstrations. What
-nothing here can see is a mode that no trajectory ever took: the weights of the others are flawless.
+trajectories, n_k e_k being twice the sum of what its n_k demonstrations add to the standard errors
+of the two scores. What nothing here can see is a mode that no trajectory ever took: the weights of
+the others are flawless.
 
 Shapes: K tasks.
 """
@@ -20,11 +21,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from swerve.estimators import LOW_ESS
 from swerve.evidence import Evidence
 from swerve.inference import TIE_ERRORS, Inference
+from swerve.samples import RESAMPLED, TEMPERED
 
-LOW_ESS_SHARE = 0.02
-LOW_ESS = 100.0
 HIGH_KL = {  # nats, between policy and pi_0
     "smc": math.inf,
     "tempered": math.inf,
@@ -38,16 +39,13 @@ VALUE_GAP = {  # nats, between a solver's log Z_0 and its samples'
     "SoftValue(": 1.0,
     "Distilled(": 2.0,
 }
+ADAPTING = ("Grid(", "SoftValue(")  # solvers that `resolve` can use
 NUM_ERRORS = 3.0  # standard errors on top
 GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 NUM_SETTLED = 3  # first hypotheses whose order is to be told
 MOST_SAMPLES = 10_000_000  # beyond, sampling will not tell
 NUM_NAMES = 3  # demonstrations named in a warning
-
-
-def least_effective(num_trajectories: int) -> float:
-    """Return the least effective sample size to be trusted, of N trajectories."""
-    return max(LOW_ESS, LOW_ESS_SHARE * num_trajectories)
+FAR_BEHIND = 7.0  # nats, errors taken off: a thousand times less likely than the first
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -64,7 +62,6 @@ def warnings(inference: Inference) -> Iterator[str]:
     yield from _too_hot(inference)
     yield from _far_policy(inference)
     yield from _wrong_value(inference)
-    yield from _floored(inference)
 
 
 def verdict(inference: Inference, task: int) -> str:
@@ -86,15 +83,15 @@ def verdict(inference: Inference, task: int) -> str:
     if (_value_gap(inference) > 0.0)[task]:
         values = f"{evidence.soft_value[task]:.2f}, not {evidence.log_partition[task]:.2f} nats"
         return f"errors may be larger than stated: the solver's log Z_0 is {values}"
-    needed = _samples_needed(inference, task)
-    if needed > evidence.num_trajectories:
-        if needed > MOST_SAMPLES:
-            return f"ranking of the first {NUM_SETTLED} not settled, nor will more samples do it"
-        return (
-            f"ranking of the first {NUM_SETTLED} not settled: raise --samples to about "
-            f"{_round_up(needed):,}"
-        )
-    return "settled"
+    num, needed = evidence.num_trajectories, _samples_needed(inference, task)
+    if needed.max(initial=0.0) <= num:
+        return "settled"
+    text = f"ranking of the first {NUM_SETTLED} not settled"
+    if needed[0] <= num:
+        text += " (the first is)"
+    if needed.max() > MOST_SAMPLES:
+        return f"{text}, nor will more samples do it"
+    return f"{text}: raise --samples to about {_round_up(needed.max()):,}"
 
 
 def summary(inference: Inference) -> str:
@@ -107,27 +104,44 @@ def summary(inference: Inference) -> str:
     lines = [f"{len(tasks) - len(others)} of {len(tasks)} tasks settled"]
     lines += [f"  {inference.task_name(k)}: {texts[k]}" for k in others[:NUM_NAMES]]
     if len(others) > NUM_NAMES:
-        lines.append(f"  ... and {len(others) - NUM_NAMES} more that are not")
+        lines.append(
+            f"  ... and {len(others) - NUM_NAMES} more not settled: see --json or --report"
+        )
     return "\n".join(lines)
 
 
-def _samples_needed(inference: Inference, task: int) -> float:
-    """Return N_k of the module's formula, for the narrowest gap between the first few."""
+def _samples_needed(inference: Inference, task: int) -> np.ndarray:
+    """Return N_k of the module's formula for each gap between the first few.
+
+    Infinite where a score hangs on a number that more samples do not change. Hypotheses that
+    explain nothing, as far as can be told, need no order, nor do those far behind the first.
+    """
     first = inference.ranking[: NUM_SETTLED + 1]
-    if len(first) < 2:
-        return 0.0
     evidence, num_tasks = inference.evidence, np.count_nonzero(inference.task_counts)
-    score, error = inference.log_likelihood[first], evidence.standard_error[task, first]
-    error = TIE_ERRORS * inference.task_counts[task] * (error[1:] + error[:-1])
+    score, error = inference.score[first], inference.task_error[task, first]
     gap = np.maximum(score[:-1] - score[1:], 1e-12)
-    share = num_tasks * ((error / gap) ** 2).max()
-    return float(evidence.num_trajectories * share)
+    share = num_tasks * (TIE_ERRORS * (error[1:] + error[:-1]) / gap) ** 2
+    needs_none = score[:-1] <= TIE_ERRORS * inference.score_error[first[:-1]]
+    if inference.score_name == "likelihood":
+        doubt = TIE_ERRORS * (inference.score_error[first[:1]] + inference.score_error[first[:-1]])
+        needs_none |= score[:1] - score[:-1] - doubt > FAR_BEHIND
+    share[needs_none] = 0.0
+    is_fixed = (evidence.is_resolved | evidence.is_floored)[task, first]
+    share[(share > 1.0) & (is_fixed[1:] | is_fixed[:-1])] = np.inf
+    return evidence.num_trajectories * share
 
 
 def _round_up(number: float) -> int:
     """Return a number rounded up to two digits."""
     unit = 10 ** max(0, math.floor(math.log10(number)) - 1)
     return unit * math.ceil(number / unit)
+
+
+def is_untrusted(inference: Inference) -> bool:
+    """Return whether the samples of a task that is used are not to be trusted at all."""
+    if inference.evidence.is_exact:
+        return False
+    return bool((_has_too_few(inference) | _is_apart(inference)).any())
 
 
 def is_too_hot(evidence: Evidence) -> bool:
@@ -141,8 +155,7 @@ def is_too_hot(evidence: Evidence) -> bool:
 
 def _has_too_few(inference: Inference) -> np.ndarray:
     """Return [K] whether a task that is used has too few effective samples."""
-    least = least_effective(inference.evidence.num_trajectories)
-    return (inference.evidence.effective_sample_size < least) & (inference.task_counts > 0)
+    return inference.evidence.has_too_few & (inference.task_counts > 0)
 
 
 def _is_apart(inference: Inference) -> np.ndarray:
@@ -160,13 +173,16 @@ def _is_far(inference: Inference) -> np.ndarray:
 def _value_gap(inference: Inference) -> np.ndarray:
     """Return [K] by how much more the solver's log Z_0 and its samples' differ than they may.
 
-    Weights account for -log(ESS / N): where that share of trajectories survives a wall, say. 0 for
-    tasks that are not used, and where the solver has no value.
+    Weights account for -log(ESS / N): where that share of trajectories survives a wall, say. For
+    resampled trajectories of a grid they do not: there ESS is about ancestors. 0 for tasks that are
+    not used, and where the solver has no value.
     """
     evidence = inference.evidence
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     share = evidence.effective_sample_size / evidence.num_trajectories
     error = np.sqrt((1.0 / share - 1.0) / evidence.num_trajectories)  # of log Z_0
+    if evidence.method in RESAMPLED and evidence.solver.startswith("Grid("):
+        share, error = np.ones_like(share), evidence.log_partition_error
     explained = NUM_ERRORS * error - np.log(share)
     allowed = [value for solver, value in VALUE_GAP.items() if evidence.solver.startswith(solver)]
     gap = np.abs(evidence.soft_value - evidence.log_partition) - explained - max(allowed, default=0)
@@ -247,28 +263,59 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
             f"The trajectories were drawn for beta {evidence.sampling_beta:g}, and are weighed for "
             f"{evidence.problem.beta:g}: {_at_its_beta(evidence)}"
         )
+    if evidence.method == TEMPERED:
+        return (
+            "Tempering has left too few: draw more trajectories, or learn at a beta nearer to "
+            f"{evidence.problem.beta:g}"
+        )
     if share > GOOD_ESS_SHARE:
         return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
     if evidence.solver.startswith("Grid("):
-        return "The grid is too coarse for this problem: give it more num_points"
+        text = "The grid is too coarse for this problem: give it more num_points"
+        other = ", or take method 'importance', which does without values on the way"
+        return text + other * (evidence.method == "smc")
     return (
-        "The policy is far from pi_0: train it longer, or use the grid solver where the state "
-        "has at most 3 dimensions. Where rewards are too sharp to be learned, learn for a lower "
-        "beta and reach this one by temperatures between: swerve.sample(nominal, tasks, "
+        "The policy is far from pi_0 here: train it longer (num_steps), or use the grid solver "
+        "where the state has at most 3 dimensions. Tasks unlike those of sample_task were never "
+        "trained for. Where rewards are too sharp to be learned, learn for a lower beta and reach "
+        "this one by temperatures between, in Python: swerve.sample(nominal, tasks, "
         f"beta={evidence.problem.beta:g})"
     )
 
 
-def _floored(inference: Inference) -> Iterator[str]:
-    """Yield that scores are lower bounds where almost every nominal trajectory enters."""
+def hardly_avoided(inference: Inference) -> Iterator[str]:
+    """Yield what scores hang on where next to no nominal trajectory avoids a hypothesis."""
     evidence, ranking = inference.evidence, inference.ranking
-    floored = evidence.is_floored & (inference.task_counts > 0)[:, None]
-    bounds = ranking[inference.is_lower_bound[ranking]]
+    used = ((inference.task_counts > 0) & ~_has_too_few(inference))[:, None]
+    floored = evidence.is_floored & used
+    in_vain = np.isposinf(evidence.summary.log_ratio_error) & used  # `resolve` did not settle them
+    bounds = ranking[floored[:, ranking].any(axis=0)]
     if len(bounds):
-        names = some_names([f"hypothesis {index}" for index in bounds])
         resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
-        yield (
-            f"the score of {names} is only a lower bound: almost every nominal trajectory of a "
-            "task enters it, and for each demonstration of such a task the samples tell no more "
-            f"than about {-math.log(resolution.min()):.1f} nats"
+        text = (
+            f"the score of {_names(bounds)} is only a lower bound: almost every nominal trajectory "
+            "of a task enters it, and for each demonstration of such a task the samples tell no "
+            f"more than about {-math.log(resolution.min()):.1f} nats"
         )
+        if not evidence.solver.startswith(ADAPTING):
+            text += ". With the solvers grid and soft-value more can be worked out"
+        yield text + _in_vain(evidence) * bool((floored & in_vain).any())
+    few = ranking[(in_vain & ~floored)[:, ranking].any(axis=0)]
+    if len(few):
+        yield (
+            f"the score of {_names(few)} hangs on the two or three nominal trajectories of a task "
+            "that avoid it: its error may be larger than stated"
+        ) + _in_vain(evidence)
+
+
+def _names(hypotheses: np.ndarray) -> str:
+    return some_names([f"hypothesis {index}" for index in hypotheses])
+
+
+def _in_vain(evidence: Evidence) -> str:
+    """Return what to say where `swerve.resolve` has tried to put numbers to scores."""
+    finer = "more num_points" if evidence.solver.startswith("Grid(") else "more num_steps"
+    return (
+        ". Working out what it takes to avoid it did not settle: sample more trajectories, give "
+        f"the solver {finer}, or see whether anything the robot can do avoids it"
+    )

@@ -11,6 +11,7 @@ import textwrap
 
 import numpy as np
 
+from swerve import trust
 from swerve.evidence import Evidence
 from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
@@ -59,7 +60,8 @@ def sentence(inference: Inference) -> str:
             f"is {what} ({value})."
         )
     verb = "is" if len(inference.demonstrations) == 1 else "are"
-    return f"{basis} {verb} best explained by keeping out of {what} ({value})."
+    doubt = ", by samples that are not to be trusted" if trust.is_untrusted(inference) else ""
+    return f"{basis} {verb} best explained by keeping out of {what} ({value}){doubt}."
 
 
 _METHODS = {
@@ -131,12 +133,16 @@ def rank(inference: Inference, row: int) -> str:
 
 def score(inference: Inference, index: int) -> str:
     """Return for example '13.4 ± 0.1 nats', '≥ 7.2 nats' or 'average violation 0.274 ± 0.001'."""
-    text = measured(inference.score[index], inference.score_error[index])
     if inference.score_name == "average":
-        return f"average violation {text}"
-    if inference.is_lower_bound[index]:
-        text = f"≥ {inference.score[index]:.1f}"
-    return f"{text} nats"
+        return f"average violation {number(inference, index)}"
+    return f"{number(inference, index)} nats"
+
+
+def number(inference: Inference, index: int) -> str:
+    """Return for example '13.4 ± 0.1', or '≥ 7.2' where the samples tell a lower bound alone."""
+    if inference.score_name == "likelihood" and inference.is_lower_bound[index]:
+        return f"≥ {inference.score[index]:.1f}"
+    return measured(inference.score[index], inference.score_error[index])
 
 
 def measured(value: float, error: float) -> str:

@@ -6,16 +6,18 @@
     <solver>.seed<S>.<method>.<N>.evidence         what sampling it told
     <solver>.seed<S>.checkpoint                    training that is under way
     <solver>.seed<S>.training.png                  a picture of how training went
+    outdated/                                      all this as it was before the problem changed
 
 Other settings make other files, so nothing is replaced. Settings that are left out are those with
 which something was last worked out. As long as none of the sources has changed, results are read
-without importing JAX or user code. When one has, whatever rests on it is removed before anything
-new is written. Several processes may work in one folder.
+without importing JAX or user code. When one has, whatever rests on it is moved aside before
+anything new is written. Several processes may work in one folder.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import time
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from swerve.problem import Problem
 
 RESULTS = ("*.nominal", "*.evidence", "*.checkpoint", "*.training.png")
+OUTDATED = "outdated"  # folder of what was there before the problem changed
 FORMAT = 3  # of problem.json
 NUM_PRIOR_TASKS = 8
 SAVE_INTERVAL = 60.0  # s between two saves while sampling
@@ -143,6 +146,7 @@ class Work:
         """Return the nominal distribution, read or learned."""
         from swerve.nominal import learn, load_nominal, resolve_solver, save_nominal
         from swerve.solvers.distilled import Distilled
+        from swerve.solvers.training import TrainedNominal
 
         problem, settings = self.problem, self.settings
         assert settings.solver is not None
@@ -160,12 +164,18 @@ class Work:
             self._last = Settings()  # the folder has noted those of the teacher
             self._begin()
         self.say(f"learning with {settings.solver}: {problem.record.summary}")
+        if checkpoint is not None and checkpoint.exists():
+            self.say(f"going on from {checkpoint}")
         nominal = train(
             tasks=tasks, seed=settings.seed, progress=self.progress, checkpoint=checkpoint
         )
         if path is not None and checkpoint is not None:
             save_nominal(path, nominal)
             checkpoint.unlink(missing_ok=True)
+        picture = self.path("training.png")
+        if picture is not None and isinstance(nominal, TrainedNominal):
+            nominal.plot_training(picture)
+            self.say(f"how training went: {picture}")
         return nominal
 
     @property
@@ -185,7 +195,7 @@ class Work:
         return Work(self.problem_text, self.folder, settings, say=self.say, progress=self.progress)
 
     def resolved(self, inference: Inference) -> Evidence:
-        """Return the evidence of a ranking with numbers in place of bounds that matter to it."""
+        """Return the evidence of a ranking, with what it hangs on worked out: see `resolve`."""
         evidence, solver = inference.evidence, self.settings.solver
         is_able = Specification.parse(str(solver)).target in ADAPTING_SOLVERS
         is_asked = inference.demonstrations and inference.score_name == "likelihood"
@@ -195,9 +205,9 @@ class Work:
 
         names = np.flatnonzero(inference.is_open.any(axis=0)).tolist()
         self.say(
-            "almost every trajectory enters "
+            "next to no trajectory avoids "
             f"{some_names([inference.hypothesis_name(index) for index in names])}: resolving what "
-            "avoiding it takes"
+            "that takes (--no-resolve leaves what the samples tell)"
         )
         return resolve(
             self.nominal(),
@@ -337,7 +347,7 @@ class Work:
             return
         with store.locked(self.folder):
             if not self._is_current(record):
-                self._remove_results(self.folder)
+                self._move_aside(self.folder)
             data = {
                 "format": FORMAT,
                 "problem": canonical_problem(self.problem_text),
@@ -355,17 +365,22 @@ class Work:
             self._stored = self._read_record(lambda text: None)  # since it has been said
         return self._stored is not None and self._stored.fingerprint == record.fingerprint
 
-    @staticmethod
-    def _remove_results(folder: Path) -> None:
-        """Remove what rests on an older version of the problem."""
+    def _move_aside(self, folder: Path) -> None:
+        """Move what rests on an older version of the problem, in place of what was moved before."""
         results = [path for pattern in RESULTS for path in folder.glob(pattern)]
         if results and not (folder / "problem.json").exists():
             raise ValueError(
                 f"{folder} holds {results[0].name} but no problem.json, so it is no work "
                 "folder of swerve: name another --work folder"
             )
+        aside = folder / OUTDATED
+        if results:
+            shutil.rmtree(aside, ignore_errors=True)
+            aside.mkdir()
+            shutil.copy(folder / "problem.json", aside)
+            self.say(f"what {folder} held is in {aside} now")
         for path in results:
-            path.unlink()
+            shutil.move(path, aside)
 
 
 def _distinct(tasks: Task) -> Task:

@@ -13,10 +13,12 @@ The reward asks to be at the goal after 3 s with little torque.
 
 from __future__ import annotations
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Int, Key
 
 from swerve.hypotheses import grid
 from swerve.mdp import MDP, rk4
@@ -25,8 +27,9 @@ from swerve.space import TWO_PI, Task
 
 TERMINAL_WEIGHT = 10.0
 TORQUE_WEIGHT = 0.5
-MAX_SPEED = 3.0  # rad/s, of exploring starts
+FREQUENCIES = tuple(math.sqrt(2.0 + sign * math.sqrt(2.0)) for sign in (-1.0, 1.0))  # rad/s
 NEAR = (1.0, 1.0, 1.0, 1.0)  # half of the ranges around hanging down of starts and goals
+REACH = (1.8, 1.8, 2.5, 2.5)  # and of exploring starts
 
 
 class DoublePendulum(MDP):
@@ -73,17 +76,53 @@ class DoublePendulum(MDP):
         """Return -10 |s - goal|^2, the angles' differences along the shorter arc."""
         return -TERMINAL_WEIGHT * jnp.sum(self.space.difference(state, goal) ** 2)
 
+    def features(
+        self, state: Float[Array, "4"], step: Int[Array, ""], goal: Float[Array, "4"]
+    ) -> Float[Array, "32"]:
+        """Return the default, and by how much the goal would be missed without a torque.
+
+        Small swings add up of two modes, in phase and in opposition, each a rotation of
+        (q, q' / w). What they miss the goal by is given as it is, per time to go, and bounded.
+        """
+        to_go = (self.num_steps - step) * self.dt
+        miss = _modes(goal) - _coasted(_modes(state), to_go)
+        gain = miss / (to_go + 0.1) / self.max_torque
+        return jnp.concatenate(
+            [
+                super().features(state, step, goal),
+                *(miss, jnp.tanh(gain / 0.3), jnp.tanh(gain / 1.5)),
+                jnp.stack([jnp.exp(-to_go / 0.2), jnp.exp(-to_go / 0.8)]),
+            ]
+        )
+
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "4"]:
-        """Draw a state with any angles and at most 3 rad/s."""
-        low = jnp.array([0.0, 0.0, -MAX_SPEED, -MAX_SPEED])
-        high = jnp.array([TWO_PI, TWO_PI, MAX_SPEED, MAX_SPEED])
-        return jax.random.uniform(key, (4,), minval=low, maxval=high)
+        """Draw a state within 1.8 rad and 2.5 rad/s of hanging at rest, where tasks lead."""
+        half = jnp.array(REACH)
+        return jax.random.uniform(key, (4,), minval=-half, maxval=half)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
         """Draw start and goal within 1 rad and 1 rad/s of hanging at rest."""
         half = jnp.array(NEAR)
         start, goal = jax.random.uniform(key, (2, 4), minval=-half, maxval=half)
         return Task(start, goal)
+
+
+def _modes(state: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Return (q, q' / w) of the two modes of small swings, theta_2 = +-sqrt(2) theta_1."""
+    angles = (state[:2] + math.pi) % TWO_PI - math.pi
+    both = jnp.stack([angles[0], state[2]]), jnp.stack([angles[1], state[3]]) / math.sqrt(2.0)
+    scale = [jnp.array([1.0, 1.0 / frequency]) for frequency in FREQUENCIES]
+    return 0.5 * jnp.concatenate([(both[0] + both[1]) * scale[0], (both[0] - both[1]) * scale[1]])
+
+
+def _coasted(modes: Float[Array, "4"], duration: Float[Array, ""]) -> Float[Array, "4"]:
+    """Return the modes after so much time without a torque [s]."""
+    parts = []
+    for k, frequency in enumerate(FREQUENCIES):
+        place, speed = modes[2 * k], modes[2 * k + 1]
+        sine, cosine = jnp.sin(frequency * duration), jnp.cos(frequency * duration)
+        parts += [cosine * place + sine * speed, cosine * speed - sine * place]
+    return jnp.stack(parts)
 
 
 def _derivative(state: Float[Array, "4"], torque: Float[Array, ""]) -> Float[Array, "4"]:
