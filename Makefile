@@ -20,6 +20,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Arguments for pytest: `make test PYTEST_ARGS='-m "not slow"'`.
 PYTEST_ARGS ?=
+# Processes that share the tests; each takes about 2 GB of memory.
+TEST_PROCESSES ?= 2
 # Arguments for `swerve demo`.
 DEMO_ARGS ?=
 # Arguments for the resolver: `make lock LOCK_ARGS=--upgrade` takes the newest releases.
@@ -40,7 +42,7 @@ test: $(VENV)/dev.stamp  ## Check style, types and behaviour; all failures are s
 	run ruff check .; \
 	run ruff format --check .; \
 	run pyright; \
-	run pytest $(PYTEST_ARGS); \
+	run pytest --numprocesses $(TEST_PROCESSES) --dist loadfile $(PYTEST_ARGS); \
 	if [ -n "$$failed" ]; then echo "==> failed:$$failed" >&2; exit 1; fi
 
 docs: $(VENV)/dev.stamp  ## Build the documentation into site/; a broken link is an error

@@ -2,12 +2,15 @@
 
     python benchmarks/systems.py [--system car] [--steps 20000000] [--work DIR] [--json]
 
-For each system two tables. The first is about the system itself, on tasks drawn from it: least and
-median ESS of importance weights as a share of the trajectories, the largest KL(pi || pi_0) by their
-own log Z_0 [nats], the largest difference between any two of the 20 islands' log Z_0 by sequential
-Monte Carlo [nats], and the time to learn and to sample [s]. The second is about a coarse version of
-8 steps, small enough to enumerate all A^8 action sequences: the errors of log Z_0 [nats] and of the
-worst violation probability, and the exact KL.
+For each system two tables, and a third for the car. The first is about the system itself, on
+tasks drawn from it: least and median ESS of importance weights as a share of the trajectories,
+the largest KL(pi || pi_0) by their own log Z_0 [nats], the largest difference between any two of
+the 20 islands' log Z_0 by sequential Monte Carlo [nats], and the time to learn and to sample [s].
+The second is about a coarse version of 8 steps, small enough to enumerate all A^8 action
+sequences: the errors of log Z_0 [nats] and of the worst violation probability, and the exact KL.
+The third is about the beta that the paper drives the car at, where rewards span 100,000 nats,
+reached by tempering from the beta that was learned for: what is left of the trajectories of one
+task, and what the verdict on them is.
 """
 
 from __future__ import annotations
@@ -30,16 +33,25 @@ from swerve import (
     Problem,
     SoftValue,
     Task,
+    infer,
     learn,
     load_nominal,
     load_problem,
     sample,
     save_nominal,
 )
+from swerve.estimators import NothingLeftError
 from swerve.tasks import draw_tasks
+from swerve.tempering import TemperingError
 
 NUM_TASKS = 8
 COARSE_STEPS = 2_000_000
+NUM_TEMPERED = 1_000
+TITLES = (
+    "soft values, tasks drawn from the system",
+    "soft values against enumeration",
+    "what tempering leaves",
+)
 
 
 class System(NamedTuple):
@@ -50,44 +62,52 @@ class System(NamedTuple):
       coarse: the MDP with 8 long steps.
       beta: of the coarse version.
       task: of the coarse version.
+      explore: share of the lanes that begin anywhere, see `SoftValue`.
+      sharp: a beta to reach by tempering, or None.
     """
 
     name: str
     coarse: Any
     beta: float
     task: Task
+    explore: float = 0.5
+    sharp: float | None = None
 
 
 SYSTEMS = (
-    System("car", Car(dt=0.5, num_steps=8), 0.03, Task([0.0, 4.0, 0.0, 1.0], [])),
+    System("car", Car(dt=0.5, num_steps=8), 0.03, Task([0.0, 4.0, 0.0, 1.0], []), sharp=200.0),
     System(
         "double-pendulum",
-        DoublePendulum(dt=0.3, num_steps=8),
+        DoublePendulum(dt=0.2, num_steps=8),
         1.0,
         Task([0.3, -0.2, 0.0, 0.5], [-0.4, 0.5, 0.0, 0.0]),
+        explore=0.25,
     ),
 )
 
 
 def learned(problem: Problem, solver: SoftValue, file: Path | None) -> tuple[Nominal, float | None]:
-    """Return the nominal distribution, and the time it took to learn [s] unless it was stored."""
-    if file is not None and file.exists():
-        return load_nominal(file, problem), None
-    began = time.perf_counter()
-    checkpoint = None if file is None else file.with_suffix(".checkpoint")
+    """Return the nominal distribution, and the time it took to learn [s] if that was all here."""
+    if file is None:
+        began = time.perf_counter()
+        return learn(problem, solver, progress=True), time.perf_counter() - began
+    if file.exists():
+        stored = load_nominal(file, problem)
+        if stored.solver != solver:
+            raise SystemExit(f"{file}: learned by {stored.solver}, not by {solver}: remove it")
+        return stored, None
+    checkpoint = file.with_suffix(".checkpoint")
+    is_new, began = not checkpoint.exists(), time.perf_counter()
     nominal = learn(problem, solver, progress=True, checkpoint=checkpoint)
     seconds = time.perf_counter() - began
-    if file is not None:
-        save_nominal(file, nominal)
-    return nominal, seconds
+    save_nominal(file, nominal)
+    checkpoint.unlink()
+    return nominal, seconds if is_new else None
 
 
-def measure(system: System, solver: SoftValue, folder: Path | None, num: int) -> dict[str, Any]:
+def measure(system: System, nominal: Nominal, seconds: float | None, num: int) -> dict[str, Any]:
     """Return figures about a system."""
-    problem = load_problem(system.name)
-    file = None if folder is None else folder / f"{system.name}.{solver.num_steps}.nominal"
-    nominal, seconds = learned(problem, solver, file)
-    tasks = draw_tasks(problem, NUM_TASKS)
+    tasks = draw_tasks(nominal.problem, NUM_TASKS)
     weighed = sample(nominal, tasks, num, method="importance", progress=True)
     began = time.perf_counter()
     resampled = sample(nominal, tasks, num, method="smc", progress=True)
@@ -101,6 +121,24 @@ def measure(system: System, solver: SoftValue, folder: Path | None, num: int) ->
         "islands_apart": float(np.ptp(resampled.island_log_partition, axis=1).max()),
         "learning_seconds": "stored" if seconds is None else seconds,
         "sampling_seconds": sampling,
+    }
+
+
+def measure_tempered(system: System, nominal: Nominal, num: int) -> dict[str, Any]:
+    """Return what is left of the trajectories of one task at a sharp beta."""
+    task = draw_tasks(nominal.problem, 1)
+    began = time.perf_counter()
+    row = {"system": f"{system.name} at beta {system.sharp:g}", "trajectories": num}
+    try:
+        evidence = sample(nominal, task, num, beta=system.sharp, progress=True)
+    except (NothingLeftError, TemperingError) as error:
+        return row | {"seconds": time.perf_counter() - began, "verdict": str(error)}
+    return row | {
+        "effective": float(evidence.effective_sample_size[0]),
+        "distinct_share": float(evidence.distinct_share[0]),
+        "island_spread": float(evidence.island_spread[0]),
+        "seconds": time.perf_counter() - began,
+        "verdict": infer(evidence).verdict(0),
     }
 
 
@@ -140,17 +178,26 @@ def main() -> None:
     parser.add_argument("--work", type=Path, help="folder that keeps what was learned")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    solver = SoftValue(**({} if arguments.steps is None else {"num_steps": arguments.steps}))
+    settings = {} if arguments.steps is None else {"num_steps": arguments.steps}
     if arguments.work is not None:
         arguments.work.mkdir(parents=True, exist_ok=True)
-    chosen = [system for system in SYSTEMS if arguments.system in (None, system.name)]
-    coarse = [measure_coarse(system, arguments.samples) for system in chosen]
-    full = [measure(system, solver, arguments.work, arguments.samples) for system in chosen]
+    tables: dict[str, list[dict[str, Any]]] = {title: [] for title in TITLES}
+    full, coarse, tempered = tables.values()
+    for system in [system for system in SYSTEMS if arguments.system in (None, system.name)]:
+        coarse.append(measure_coarse(system, arguments.samples))
+        problem, solver = load_problem(system.name), SoftValue(explore=system.explore, **settings)
+        name = f"{system.name}.{solver.num_steps}.nominal"
+        file = None if arguments.work is None else arguments.work / name
+        nominal, seconds = learned(problem, solver, file)
+        full.append(measure(system, nominal, seconds, arguments.samples))
+        if system.sharp is not None:
+            tempered.append(measure_tempered(system, nominal, NUM_TEMPERED))
     if arguments.json:
-        print(json.dumps({"systems": full, "coarse": coarse}))
+        print(json.dumps(tables))
         return
-    show(full, "soft values, tasks drawn from the system")
-    show(coarse, "soft values against enumeration")
+    for title, rows in tables.items():
+        if rows:
+            show(rows, title)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,8 @@ from rich.console import Console
 
 from swerve import PPO, Grid, Problem, SoftValue, Task, learn, read_demonstrations, sample
 from swerve.estimators import kl_divergence
-from swerve.solvers.training import NUM_CHUNKS, Progress, Run, TrainedNominal, TrainingSolver
+from swerve.solvers.training import NUM_CHUNKS, TrainedNominal, TrainingSolver
+from swerve.solvers.training_run import Progress, Run
 from swerve.specification import load_problem
 from swerve.training_plot import LEAST, finish, log_scale, time_unit
 
