@@ -187,8 +187,8 @@ MUTANTS = (
     Mutant(
         "take resampled trajectories for independent ones",
         "samples.py",
-        "    return estimate._replace(avoid_variance=variance)",
-        "    return estimate",
+        "            estimate = estimate._replace(avoid_variance=of_islands.variance())",
+        "            pass",
         "test_smc -k stated",
     ),
     Mutant(
@@ -222,8 +222,8 @@ MUTANTS = (
     Mutant(
         "strike a hypothesis out only when every demonstration enters it",
         "inference.py",
-        "return np.asarray(self.entered.any(axis=0)) | self.impossible",
-        "return np.asarray(self.entered.all(axis=0)) | self.impossible",
+        "return np.asarray((self.counts.entering > 0).any(axis=0)) | self.impossible",
+        "return np.asarray((self.counts.avoiding == 0).all(axis=0)) | self.impossible",
         "test_inference",
     ),
     Mutant(

@@ -78,7 +78,8 @@ class TestLogLikelihood:
                 result.log_likelihood[left], -np.log(1.0 - np.array(RISING))[left], atol=1e-12
             )
             np.testing.assert_allclose(result.log_likelihood[left], -evidence.log_ratio[task][left])
-            np.testing.assert_allclose(result.standard_error, evidence.standard_error[task])
+            expected = np.where(left, evidence.standard_error[task], 0.0)  # -inf has no error
+            np.testing.assert_allclose(result.standard_error, expected)
 
     @given(
         seed=seeds,
@@ -148,6 +149,7 @@ class TestLogLikelihood:
         evidence = evidence_with_chances(RISING)
         result = infer(evidence, [make_demonstration(k, f"d{k}") for k in (0, 0, 2)])
         expected = np.sqrt(4 * evidence.standard_error[0] ** 2 + evidence.standard_error[2] ** 2)
+        expected = np.where(result.struck_out, 0.0, expected)
         np.testing.assert_allclose(result.standard_error, expected)
         np.testing.assert_array_equal(result.task_counts, [2, 0, 1])
 
@@ -455,8 +457,20 @@ class TestOutput:
 
     def test_table(self, result: Inference) -> None:
         lines = result.table(3).splitlines()
-        assert lines[0].split() == ["rank", "index", "nats", "+-", "violated", "hypothesis"]
-        assert lines[1].split() == ["1", "8", "3.22", "0.09", "0.800", "x", "[8,", "9)"]
+        columns = ["rank", "index", "nats", "+-", "posterior", "violated", "hypothesis"]
+        assert lines[0].split() == columns
+        probability = f"{result.posterior.hypotheses[8]:.4f}"
+        assert lines[1].split() == [
+            "1",
+            "8",
+            "3.22",
+            "0.09",
+            probability,
+            "0.800",
+            "x",
+            "[8,",
+            "9)",
+        ]
         assert [line.split()[:2] for line in lines[1:4]] == [["1", "8"], ["2", "7"], ["3", "6"]]
         assert lines[4].strip() == "... 4 more"
         assert len(result.table(7).splitlines()) == 8

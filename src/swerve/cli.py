@@ -384,6 +384,7 @@ def _show(result: Inference, report: Path | None, as_json: bool) -> None:
     else:
         print(result.evidence.problem.summary)
         print(result.headline)
+        print(result.belief)
         print(result.table())
         print(result.verdicts())
     if report is not None:

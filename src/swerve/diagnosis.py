@@ -153,8 +153,19 @@ def _exhausted(inference: Inference) -> Iterator[str]:
             f"no hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
             f"least one demonstration ({inference.demonstrations[int(entered.argmax())].name} "
             f"alone enters {entered.max()}). The constraint is not among the hypotheses, or the "
-            "demonstrations are not of this problem"
+            f"demonstrations are not of this problem{_tolerable(inference)}"
         )
+
+
+def _tolerable(inference: Inference) -> str:
+    """Return with which tolerance something would be left."""
+    tolerance = inference.least_tolerance
+    if tolerance is None:
+        return ". No tolerance makes any of them more probable than no constraint"
+    return (
+        ", or some of them ignore it: with a tolerance of "
+        f"{tolerance:.2g} or more one would be more probable than no constraint"
+    )
 
 
 def _impossible(inference: Inference) -> Iterator[str]:

@@ -12,6 +12,7 @@ Shapes: N trajectories, H hypotheses.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,18 +34,44 @@ class Estimate(NamedTuple):
     avoid_variance: np.ndarray
 
 
-def grouped_variance(
-    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, group: np.ndarray
-) -> np.ndarray:
-    """Return the sampling variance [H] of Z_c / Z_0 where only groups are independent.
+class Parts(NamedTuple):
+    """What groups of trajectories have of all the weight there is.
 
-        var = G / (G - 1) sum_g (sum_{n in g} w_n (1[n avoids] - p))^2,     sum_n w_n = 1.
+    Attributes:
+      weight: [G] their weights, which sum to 1.
+      entered: [G, H] the weights of those of their trajectories that enter each hypothesis.
+    """
+
+    weight: np.ndarray
+    entered: np.ndarray
+
+    def variance(self) -> np.ndarray:
+        """Return the sampling variance [H] of Z_c / Z_0 where only groups are independent.
+
+        var = G / (G - 1) sum_g (sum_{n in g} w_n (1[n avoids] - p))^2
+        """
+        num = len(self.weight)
+        deviation = self.entered - self.weight[:, None] * self.entered.sum(axis=0)
+        return num / (num - 1) * (deviation**2).sum(axis=0)
+
+    def avoid_without(self) -> np.ndarray:
+        """Return Z_c / Z_0 [G, H] as estimated without one group; 0 where no weight is left."""
+        left = 1.0 - self.weight[:, None]
+        entered = self.entered.sum(axis=0) - self.entered
+        avoided = np.clip(left - entered, 0.0, None)
+        return np.divide(avoided, left, out=np.zeros_like(avoided), where=left > 0.0)
+
+
+def parts(
+    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, group: np.ndarray
+) -> Parts:
+    """Return what groups of trajectories weigh, and how much of that enters each hypothesis.
 
     Args:
       log_weight: [N] nats.
       violations: [N, ceil(H / 8)] packed bits.
       num_hypotheses: H.
-      group: [N] numbers from 0 to G - 1, with G > 1.
+      group: [N] numbers from 0 to G - 1.
 
     Raises:
       ValueError: if a log-weight is NaN, or every one is -inf.
@@ -52,12 +79,9 @@ def grouped_variance(
     weight = normalise(log_weight)
     members = (group == np.arange(group.max() + 1)[:, None]) * weight
     entered = np.zeros((len(members), 8 * violations.shape[1]))
-    for first in range(0, violations.shape[1], BLOCK):
-        bits = np.unpackbits(violations[:, first : first + BLOCK], axis=1, bitorder="little")
-        entered[:, 8 * first : 8 * first + bits.shape[1]] = members @ bits.astype(np.float64)
-    entered = entered[:, :num_hypotheses]
-    deviation = entered - members.sum(axis=1, keepdims=True) * entered.sum(axis=0)
-    return len(members) / (len(members) - 1) * (deviation**2).sum(axis=0)
+    for hypotheses, bits in _touched(violations):
+        entered[:, hypotheses] = members @ bits
+    return Parts(members.sum(axis=1), entered[:, :num_hypotheses])
 
 
 LOW_ESS_SHARE = 0.02
@@ -195,11 +219,7 @@ def avoid_probability(
     rows = np.stack([weight, weight**2])
     entered = np.zeros((2, 8 * violations.shape[1]))
     avoided = np.tile([[1.0], [rows[1].sum()]], entered.shape[1])
-    touched = np.flatnonzero(np.bitwise_or.reduce(violations, axis=0, initial=0))
-    for first in range(0, len(touched), BLOCK):
-        columns = touched[first : first + BLOCK]
-        bits = np.unpackbits(violations[:, columns], axis=1, bitorder="little").astype(np.float64)
-        hypotheses = (8 * columns[:, None] + np.arange(8)).reshape(-1)
+    for hypotheses, bits in _touched(violations):
         entered[:, hypotheses] = rows @ bits
         avoided[:, hypotheses] -= entered[:, hypotheses]
         rare = entered[0, hypotheses] > 0.5  # to avoid it; a difference would be rounding there
@@ -210,6 +230,15 @@ def avoid_probability(
     # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
     variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
     return Estimate(avoided, variance)
+
+
+def _touched(violations: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield, block by block, hypotheses [M] that may be entered and their bits [N, M], float64."""
+    touched = np.flatnonzero(np.bitwise_or.reduce(violations, axis=0, initial=0))
+    for first in range(0, len(touched), BLOCK):
+        columns = touched[first : first + BLOCK]
+        bits = np.unpackbits(violations[:, columns], axis=1, bitorder="little")
+        yield (8 * columns[:, None] + np.arange(8)).reshape(-1), bits.astype(np.float64)
 
 
 def least_effective(num_trajectories: int) -> float:

@@ -35,7 +35,7 @@ from swerve.samples import (
 from swerve.space import Task
 
 KIND = "swerve-evidence"
-VERSION = 5
+VERSION = 6
 Fields = TypeVar("Fields", bound=tuple)
 
 MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence

@@ -93,6 +93,7 @@ def exact_evidence(
         log_partition=np.array([log_partition]),
         kl=np.zeros(1),
         island_log_partition=np.full((1, NUM_ISLANDS), log_partition),
+        avoid_without_island=answer.avoid_probability[None, None].astype(np.float32),
         effective_sample_size=np.array([float(len(drawn.length))]),
     )
     return Evidence(

@@ -4,16 +4,18 @@ Demonstrations that all avoid c have, against no constraint at all, the log-like
 
     log L(c) = - sum_i log(Z_c / Z_0)(task_i) >= 0 nats;
 
-one that enters c rules it out. The most likely constraint is the one that no demonstration enters
-although the nominal distribution would have entered it most often.
+one that enters c rules it out, unless demonstrations may ignore it now and then (see `likelihood`).
+The most likely constraint is the one that no demonstration enters although the nominal distribution
+would have entered it most often.
 
 Shapes: D demonstrations, K tasks, H hypotheses.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,11 +23,13 @@ from typing import Any
 
 import numpy as np
 
+from swerve import likelihood, posterior
 from swerve.arguments import instance
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
-from swerve.hypotheses import unpack
+from swerve.hypotheses import HypothesisSet, unpack
 from swerve.judging import judge
+from swerve.posterior import CredibleSet, Posterior, Prior
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
@@ -45,6 +49,10 @@ class Inference:
       task_of: [D] index of each demonstration's task in the evidence.
       entered: [D, H] True where a demonstration enters a hypothesis.
       score_name: "likelihood" or "average".
+      is_counted: [K, H] False where a task says nothing of a hypothesis, too near its ends.
+      tolerance: eps, the probability that a demonstration ignores the constraint.
+      prior: [H + 1] probabilities before the demonstrations, that of no constraint first.
+      judged: what demonstrations are held against: the hypotheses, less a margin for noise.
     """
 
     evidence: Evidence
@@ -52,6 +60,10 @@ class Inference:
     task_of: np.ndarray
     entered: np.ndarray
     score_name: str
+    is_counted: np.ndarray
+    tolerance: float
+    prior: np.ndarray
+    judged: HypothesisSet
 
     @cached_property
     def task_counts(self) -> np.ndarray:
@@ -61,41 +73,77 @@ class Inference:
         return np.bincount(self.task_of, minlength=self.evidence.num_tasks)
 
     @cached_property
+    def counts(self) -> likelihood.Counts:
+        """[K, H] demonstrations that avoid a hypothesis and that enter it, where they count."""
+        entering = np.zeros(self.is_counted.shape)
+        np.add.at(entering, self.task_of, self.entered)
+        avoiding = self.task_counts[:, None] - entering
+        return likelihood.Counts(avoiding * self.is_counted, entering * self.is_counted)
+
+    @cached_property
+    def is_used(self) -> np.ndarray:
+        """[K, H] True where demonstrations of a task count for or against a hypothesis."""
+        return (self.task_counts[:, None] > 0) & self.is_counted
+
+    @cached_property
     def impossible(self) -> np.ndarray:
         """[H] True where exact evidence says that nobody who has one of the tasks can avoid it."""
-        log_ratio = self.evidence.summary.log_ratio[self.task_counts > 0]
-        return np.asarray(self.evidence.is_exact & np.isneginf(log_ratio).any(axis=0))
+        if not self.evidence.is_exact:
+            return np.zeros(len(self.prior) - 1, bool)
+        return np.asarray((np.isneginf(self.evidence.log_ratio) & self.is_used).any(axis=0))
 
     @cached_property
     def struck_out(self) -> np.ndarray:
-        """[H] True where a demonstration enters the hypothesis, or nobody can avoid it."""
-        return np.asarray(self.entered.any(axis=0)) | self.impossible
+        """[H] True where a demonstration enters the hypothesis, or nobody can avoid it.
+
+        With a tolerance above 0 no demonstration rules anything out.
+        """
+        if self.tolerance > 0.0:
+            return self.impossible
+        return np.asarray((self.counts.entering > 0).any(axis=0)) | self.impossible
 
     @cached_property
     def log_likelihood(self) -> np.ndarray:
         """[H] log-likelihood ratio against no constraint [nats]; -inf where struck out."""
-        value = -self.task_counts @ np.where(self.impossible, 0.0, self._finite_log_ratio)
+        value = likelihood.log_likelihood(self.finite_log_ratio, self.counts, self.tolerance)
         return np.where(self.struck_out, -np.inf, value)
 
-    @property
-    def _finite_log_ratio(self) -> np.ndarray:
-        """[K, H] log ratios, 0 for tasks that are not used: theirs may be infinite."""
-        return np.where(self.task_counts[:, None] > 0, self.evidence.log_ratio, 0.0)
+    @cached_property
+    def contributions(self) -> np.ndarray:
+        """[D, H] what each demonstration adds to `log_likelihood` [nats]; -inf: rules out."""
+        avoiding = likelihood.avoiding_term(self.finite_log_ratio, self.tolerance)[self.task_of]
+        entering = math.log(self.tolerance) if self.tolerance > 0.0 else -np.inf
+        added = np.where(self.entered, entering, avoiding)
+        return np.where(self.is_counted[self.task_of], added, 0.0)
+
+    @cached_property
+    def finite_log_ratio(self) -> np.ndarray:
+        """[K, H] log ratios, 0 where they are not used: there they may be infinite."""
+        return np.where(self.is_used & ~self.impossible, self.evidence.log_ratio, 0.0)
+
+    @cached_property
+    def sensitivity(self) -> np.ndarray:
+        """[K, H] by how much `log_likelihood` falls as log Z_c / Z_0 of a task rises."""
+        slope = likelihood.sensitivity(self.finite_log_ratio, self.tolerance)
+        return np.where(self.struck_out, 0.0, self.counts.avoiding * slope)
 
     @cached_property
     def standard_error(self) -> np.ndarray:
         """[H] standard error of `log_likelihood` [nats]; tasks are sampled independently."""
-        return np.sqrt(self.task_counts**2 @ self.evidence.standard_error**2)
+        return np.sqrt((self.sensitivity**2 * self.evidence.standard_error**2).sum(axis=0))
 
     @cached_property
     def average_violation(self) -> np.ndarray:
         """[H] violation probability averaged over the demonstrations (the paper's score)."""
-        return self.task_counts @ self.evidence.violation_probability / self.task_counts.sum()
+        num = self.task_counts[:, None] * self.is_counted
+        return (num * self.evidence.violation_probability).sum(axis=0) / np.maximum(
+            num.sum(axis=0), 1
+        )
 
     @cached_property
     def is_lower_bound(self) -> np.ndarray:
         """[H] True where almost every nominal trajectory of a task enters: see `is_floored`."""
-        floored = self.evidence.is_floored & (self.task_counts > 0)[:, None]
+        floored = self.evidence.is_floored & self.is_used
         return np.asarray(floored.any(axis=0))
 
     @cached_property
@@ -110,7 +158,7 @@ class Inference:
         able &= evidence.log_partition_error < SETTLED / math.sqrt(2.0)
         untried = np.isnan(evidence.summary.log_ratio_error)
         is_open = evidence.standard_error > FEW_AVOID
-        is_open &= untried & able[:, None] & ~self.struck_out
+        is_open &= untried & able[:, None] & self.is_counted & ~self.struck_out
         for index in np.flatnonzero(is_open.any(axis=0)).tolist():
             constraint = evidence.problem.hypotheses.constraint(index)
             is_open[:, index] &= ~constraint.contains(evidence.tasks.start, evidence.problem.space)
@@ -127,7 +175,7 @@ class Inference:
     def task_error(self) -> np.ndarray:
         """[K, H] what the demonstrations of each task add to the standard error of `score`."""
         if self.score_name == "likelihood":
-            return self.task_counts[:, None] * self.evidence.standard_error
+            return self.sensitivity * self.evidence.standard_error
         share = self.task_counts[:, None] / self.task_counts.sum()
         return np.asarray(share * np.sqrt(self.evidence.summary.avoid_variance))
 
@@ -159,6 +207,32 @@ class Inference:
             rank[k] = first + 1
         return rank
 
+    @cached_property
+    def posterior(self) -> Posterior:
+        """How probable no constraint and each hypothesis are, with their standard errors."""
+        return posterior.of_inference(self)
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """Log-likelihood ratio of there being a constraint, whichever, against none [nats]."""
+        return posterior.log_bayes_factor(self.log_likelihood, self.prior)
+
+    def credible_set(self, probability: float = 0.95) -> CredibleSet:
+        """Return the fewest answers, no constraint among them or not, of at least a probability.
+
+        Raises:
+          ValueError: if it is not between 0 and 1.
+        """
+        return posterior.credible_set(self.posterior, probability)
+
+    @cached_property
+    def least_tolerance(self) -> float | None:
+        """The least tolerance with which a hypothesis is more probable than no constraint, if any.
+
+        None where one is already, or none would be up to the largest tolerance.
+        """
+        return posterior.least_tolerance(self)
+
     @property
     def leaders(self) -> np.ndarray:
         """The hypotheses that share the first rank."""
@@ -170,6 +244,13 @@ class Inference:
         from swerve import wording
 
         return wording.sentence(self)
+
+    @property
+    def belief(self) -> str:
+        """The posterior in a plain sentence."""
+        from swerve import wording
+
+        return wording.belief(self)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -194,10 +275,11 @@ class Inference:
         """Return the names of the first demonstrations of a task, or its number."""
         from swerve.trust import some_names
 
-        names = self._demonstrations_of(task)
+        names = self.demonstrations_of(task)
         return some_names(names) if names else f"task {task}"
 
-    def _demonstrations_of(self, task: int) -> list[str]:
+    def demonstrations_of(self, task: int) -> list[str]:
+        """Return the names of the demonstrations of a task."""
         pairs = zip(self.demonstrations, self.task_of, strict=True)
         return [demonstration.name for demonstration, k in pairs if k == task]
 
@@ -207,71 +289,32 @@ class Inference:
 
     def table(self, num_rows: int = TABLE_ROWS) -> str:
         """Return the head of the ranking as text."""
-        lines = [f"{'rank':>5} {'index':>6}  {'nats':>8} {'+-':>6}  {'violated':>8}  hypothesis"]
-        for index, rank in list(zip(self.ranking, self.rank, strict=True))[:num_rows]:
-            tied = "=" if np.count_nonzero(self.rank == rank) > 1 else " "
-            least = "≥" if self.is_lower_bound[index] else " "
-            lines.append(
-                f"{rank:>4}{tied} {index:>6} {least}{self.log_likelihood[index]:>8.2f} "
-                f"{self.standard_error[index]:>6.2f}  {self.average_violation[index]:>8.3f}  "
-                f"{self.hypothesis_name(index)}"
-            )
-        if len(self.ranking) > num_rows:
-            lines.append(f"      ... {len(self.ranking) - num_rows} more")
-        return "\n".join(lines)
+        from swerve import listing
+
+        return listing.table(self, num_rows)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the ranking, best first, and diagnostics of each task used, as JSON data."""
-        tasks = self.task_of if self.demonstrations else range(self.evidence.num_tasks)
-        return {
-            "headline": self.headline,
-            "problem": self.evidence.problem.summary,
-            "score": self.score_name,
-            "num_demonstrations": len(self.demonstrations),
-            "ranking": [
-                {
-                    "index": int(index),
-                    "name": self.hypothesis_name(index),
-                    "log_likelihood": float(self.log_likelihood[index]),
-                    "standard_error": float(self.standard_error[index]),
-                    "is_lower_bound": bool(self.is_lower_bound[index]),
-                    "average_violation": float(self.average_violation[index]),
-                    "rank": int(rank),
-                }
-                for index, rank in zip(self.ranking, self.rank, strict=True)
-            ],
-            "struck_out": [
-                {
-                    "index": index,
-                    "name": self.hypothesis_name(index),
-                    "impossible": bool(self.impossible[index]),
-                    "entered_by": [
-                        self.demonstrations[d].name for d in np.flatnonzero(self.entered[:, index])
-                    ],
-                }
-                for index in np.flatnonzero(self.struck_out).tolist()
-            ],
-            "warnings": list(self.warnings),
-            "diagnostics": [self._task_diagnostics(int(k)) for k in dict.fromkeys(tasks)],
-        }
+        """Return the ranking, the posterior and diagnostics of each task used, as JSON data."""
+        from swerve import listing
 
-    def _task_diagnostics(self, task: int) -> dict[str, Any]:
-        evidence = self.evidence
-        return {
-            "task": int(task),
-            "demonstrations": self._demonstrations_of(task),
-            "start": evidence.tasks.start[task].tolist(),
-            "goal": evidence.tasks.goal[task].tolist(),
-            "solver": evidence.solver,
-            "method": evidence.method,
-            "num_trajectories": evidence.num_trajectories,
-            "effective_sample_size": float(evidence.effective_sample_size[task]),
-            "log_partition": float(evidence.log_partition[task]),
-            "kl": float(evidence.kl[task]),
-            "island_spread": float(evidence.island_spread[task]),
-            "distinct_share": float(evidence.distinct_share[task]),
-            "verdict": self.verdict(task),
-        }
+        return listing.to_json(self)
+
+    def add(self, *demonstrations: Demonstration) -> Inference:
+        """Return the inference from more finished demonstrations.
+
+        Raises:
+          ValueError: if one has no evidence for its task, or does not fit the problem.
+        """
+        if not demonstrations:
+            return self
+        judged = [judge(item, self.evidence, self.judged) for item in demonstrations]
+        entered = unpack(np.stack([bits for _, bits in judged]), len(self.judged))
+        return dataclasses.replace(
+            self,
+            demonstrations=(*self.demonstrations, *demonstrations),
+            task_of=np.concatenate([self.task_of, [task for task, _ in judged]]),
+            entered=np.concatenate([self.entered, entered]),
+        )
 
     def plot(self, path: str | Path | None = None) -> Any:
         """Draw the hypotheses shaded by score, nominal trajectories and demonstrations.
@@ -298,6 +341,10 @@ def infer(
     demonstrations: Sequence[Demonstration] = (),
     *,
     score: str = "likelihood",
+    prior: Prior = None,
+    tolerance: float = 0.0,
+    margin: Mapping[str, float] | None = None,
+    clearance: float | None = None,
 ) -> Inference:
     """Rank the hypotheses by how well they explain the demonstrations.
 
@@ -306,24 +353,57 @@ def infer(
       demonstrations: finished ones; with none, the ranking is the prior one (Theorem 1: what the
         nominal distribution enters most often comes first) over all tasks of the evidence.
       score: "likelihood", or "average": the paper's average violation probability.
+      prior: [H + 1] probabilities, that of no constraint first; or that of no constraint alone, the
+        rest shared alike; 1/2 if None.
+      tolerance: eps, the probability with which a demonstration ignores the constraint, so that one
+        stray track does not veto the truth; 0 is the paper's.
+      margin: for states measured with noise, how deep inside a hypothesis, in the state's unit, a
+        demonstration must be to have entered it.
+      clearance: leave a hypothesis out for tasks that start or end within this distance of it, in
+        the units of the states that it names: nobody enters it there, constraint or not. Goals
+        count where they are states.
 
     Returns:
-      The ranking.
+      The ranking and the posterior.
 
     Raises:
-      ValueError: if an argument is of the wrong kind, a demonstration has no evidence for its task,
-        or it does not fit the problem.
+      ValueError: if an argument is of the wrong kind or out of range, a demonstration has no
+        evidence for its task, or it does not fit the problem.
     """
     instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
     if score not in SCORES:
         raise ValueError(f"score: expected one of {', '.join(SCORES)}, got {score!r}")
+    hypotheses = evidence.problem.hypotheses
+    empty = Inference(
+        evidence,
+        demonstrations=(),
+        task_of=np.zeros(0, int),
+        entered=np.zeros((0, len(hypotheses)), bool),
+        score_name=score,
+        is_counted=_is_counted(evidence, clearance),
+        tolerance=likelihood.checked_tolerance(tolerance),
+        prior=posterior.checked_prior(prior, len(hypotheses)),
+        judged=hypotheses if margin is None else hypotheses.eroded(margin),
+    )
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")
-    demonstrations = tuple(demonstrations)
-    judged = [judge(item, evidence) for item in demonstrations]
-    num_hypotheses = len(evidence.problem.hypotheses)
-    entered = np.zeros((0, num_hypotheses), bool)
-    if judged:
-        entered = unpack(np.stack([bits for _, bits in judged]), num_hypotheses)
-    task_of = np.array([task for task, _ in judged], int)
-    return Inference(evidence, demonstrations, task_of, entered, score)
+    return empty.add(*demonstrations)
+
+
+def _is_counted(evidence: Evidence, clearance: float | None) -> np.ndarray:
+    """Return [K, H] whether a hypothesis is not within a distance of the ends of a task.
+
+    Raises:
+      ValueError: if the distance is negative or no number, or a hypothesis has none.
+    """
+    problem, tasks = evidence.problem, evidence.tasks
+    shape = evidence.num_tasks, len(problem.hypotheses)
+    if clearance is None:
+        return np.ones(shape, bool)
+    if not (math.isfinite(clearance) and clearance >= 0.0):
+        raise ValueError(f"clearance: expected a distance >= 0, got {clearance}")
+    ends = [tasks.start]
+    if problem.goal_names == problem.space.names:
+        ends.append(tasks.goal)
+    nearest = np.min([problem.hypotheses.distance(end, problem.space) for end in ends], axis=0)
+    return nearest > clearance

@@ -10,6 +10,7 @@ import numpy as np
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
+from swerve.hypotheses import HypothesisSet
 from swerve.problem import ProblemRecord
 from swerve.space import Actions
 from swerve.state_checks import (
@@ -22,8 +23,16 @@ from swerve.state_checks import (
 )
 
 
-def judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.ndarray]:
+def judge(
+    demonstration: Demonstration, evidence: Evidence, hypotheses: HypothesisSet
+) -> tuple[int, np.ndarray]:
     """Check a demonstration; return its task in the evidence and packed bits [B] of what it enters.
+
+    Args:
+      demonstration: a finished one.
+      evidence: what it is held against.
+      hypotheses: what it may have entered: those of the problem, or what is left of them where
+        measurement noise is allowed for.
 
     Raises:
       ValueError: if it is none, does not fit the problem, or there is no evidence for its task.
@@ -49,9 +58,7 @@ def judge(demonstration: Demonstration, evidence: Evidence) -> tuple[int, np.nda
     actions = _actions(demonstration, problem, problem.hypotheses.about_actions)
     if actions is not None:
         actions = actions._replace(values=actions.values[None])
-    bits = problem.hypotheses.violations(
-        states[None], problem.space, problem.between_states, actions
-    )
+    bits = hypotheses.violations(states[None], problem.space, problem.between_states, actions)
     return task, bits[0]
 
 

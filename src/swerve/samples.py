@@ -86,6 +86,7 @@ class Summary(NamedTuple):
         less; first those of trajectories that come from the same one at the start are added.
       distinct_share: [K] share of the trajectories at the start that any comes from.
       island_log_partition: [K, I] log Z_0 by each island alone, nats.
+      avoid_without_island: [K, I, H] Z_c / Z_0 by all islands but one, float32.
       soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none, or only
         that of another beta.
       end: [K, n] the middle of the box of states where the trajectories kept end.
@@ -103,6 +104,7 @@ class Summary(NamedTuple):
     effective_sample_size: np.ndarray
     distinct_share: np.ndarray
     island_log_partition: np.ndarray
+    avoid_without_island: np.ndarray
     soft_value: np.ndarray
     end: np.ndarray
     end_reach: np.ndarray
@@ -130,7 +132,12 @@ def summarise(
         log_partition = estimators.log_partition(log_weight)
         kept, ancestor = samples.kept[k], samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
-        estimate = _avoid_probability(used, ancestor, samples.violations[k], problem)
+        of_islands = _of_islands(used, samples.violations[k], problem)
+        estimate = estimators.avoid_probability(
+            used, samples.violations[k], len(problem.hypotheses)
+        )
+        if len(np.unique(ancestor)) < len(ancestor):  # they depend on one another
+            estimate = estimate._replace(avoid_variance=of_islands.variance())
         if method in RESAMPLED:
             kl = float(estimators.normalise(log_weight) @ _finite(drawn_by[k])) - log_partition
         else:
@@ -146,6 +153,7 @@ def summarise(
                 min(estimators.effective_sample_size(x, ancestor) for x in (log_weight, used)),
                 len(np.unique(ancestor)) / len(ancestor),
                 [_log_mean(log_weight[island]) for island in islands(len(log_weight))],
+                of_islands.avoid_without().astype(np.float32),
                 samples.soft_value[k] if sampling_beta == problem.beta else np.nan,
                 *_end_box(problem, kept[:, -1]),
                 samples.length[k][np.isfinite(log_weight)].min() * problem.dt,
@@ -161,18 +169,13 @@ def islands(num_trajectories: int) -> list[np.ndarray]:
     return np.array_split(np.arange(num_trajectories), num_islands)
 
 
-def _avoid_probability(
-    log_weight: np.ndarray, ancestor: np.ndarray, violations: np.ndarray, problem: ProblemRecord
-) -> estimators.Estimate:
-    """Estimate Z_c / Z_0 [H]; trajectories that share ancestors depend on one another."""
-    num_hypotheses = len(problem.hypotheses)
-    estimate = estimators.avoid_probability(log_weight, violations, num_hypotheses)
-    if len(np.unique(ancestor)) == len(ancestor):
-        return estimate
-    parts = islands(len(ancestor))
-    island = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    variance = estimators.grouped_variance(log_weight, violations, num_hypotheses, island)
-    return estimate._replace(avoid_variance=variance)
+def _of_islands(
+    log_weight: np.ndarray, violations: np.ndarray, problem: ProblemRecord
+) -> estimators.Parts:
+    """Return what each island of a task weighs, and what of that enters each hypothesis."""
+    sizes = [len(part) for part in islands(len(log_weight))]
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    return estimators.parts(log_weight, violations, len(problem.hypotheses), group)
 
 
 def _log_mean(log_weight: np.ndarray) -> float:

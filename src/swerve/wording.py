@@ -17,6 +17,7 @@ from swerve.hypotheses import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
 
 NUM_NAMED = 6  # hypotheses tied with the first that are named
+LEAST_PERCENT = 5e-4  # probability: less is given as it is
 MAX_NAME = 120  # characters of a hypothesis in a sentence
 
 
@@ -62,6 +63,29 @@ def sentence(inference: Inference) -> str:
     verb = "is" if len(inference.demonstrations) == 1 else "are"
     doubt = ", by samples that are not to be trusted" if trust.is_untrusted(inference) else ""
     return f"{basis} {verb} best explained by keeping out of {what} ({value}){doubt}."
+
+
+def belief(inference: Inference) -> str:
+    """Return how probable no constraint and the best hypothesis are, and the 95 % credible set."""
+    found, credible = inference.posterior, inference.credible_set()
+    parts = [f"Posterior: no constraint {probability(found.none, found.none_error)}"]
+    if found.hypotheses.any():
+        best = int(found.hypotheses.argmax())
+        value = probability(found.hypotheses[best], found.error[best])
+        parts.append(f"{noun(inference)} {best} {value}")
+    names = ["no constraint"] * credible.has_none
+    if len(credible.hypotheses):
+        names.append(_numbered(inference, credible.hypotheses.tolist()))
+    return f"{', '.join(parts)}; 95 % credible set: {' or '.join(names)}."
+
+
+def probability(value: float, error: float) -> str:
+    """Return for example '97.2 ± 0.4 %', '2e-06' where it is far below that."""
+    if value + error < LEAST_PERCENT:
+        return f"{value:.0e}" if value > 0.0 else "0"
+    if error < LEAST_PERCENT:
+        return f"{100.0 * value:.3g} %"
+    return f"{measured(100.0 * value, 100.0 * error)} %"
 
 
 _METHODS = {
@@ -164,11 +188,14 @@ def score_label(inference: Inference) -> str:
 
 def _tied(inference: Inference) -> str:
     tied = inference.leaders[1:].tolist()
-    if not tied:
-        return ""
-    more = f" and {len(tied) - NUM_NAMED:,} more" if len(tied) > NUM_NAMED else ""
-    what = noun(inference) if len(tied) == 1 else _plural(noun(inference))
-    return f", tied with {what} {', '.join(map(str, tied[:NUM_NAMED]))}{more}"
+    return f", tied with {_numbered(inference, tied)}" if tied else ""
+
+
+def _numbered(inference: Inference, indices: list[int]) -> str:
+    """Return for example 'cells 3, 4, 5, 6, 7, 8 and 2 more'."""
+    more = f" and {len(indices) - NUM_NAMED:,} more" if len(indices) > NUM_NAMED else ""
+    what = noun(inference) if len(indices) == 1 else _plural(noun(inference))
+    return f"{what} {', '.join(map(str, indices[:NUM_NAMED]))}{more}"
 
 
 def _plural(noun: str) -> str:

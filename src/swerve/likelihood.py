@@ -1,0 +1,94 @@
+"""How likely demonstrations are under each hypothesis, against no constraint at all.
+
+A demonstration d of task k obeys the constraint, but ignores it with a probability eps:
+
+    L_d(c) = eps + (1 - eps) 1[d avoids c] Z_0 / Z_c(task_k),    log L(c) = sum_d log L_d(c).
+
+With eps = 0 (the paper) one that enters c rules it out. A task says nothing of a hypothesis that
+lies beside its start or its goal: no demonstration of it enters, whether it is a constraint or not.
+
+Shapes: K tasks, D demonstrations, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+MAX_TOLERANCE = 0.5
+NUM_TOLERANCES = 61  # tried between the least and the largest, evenly in their logs
+LEAST_TOLERANCE = 1e-6
+
+
+class Counts(NamedTuple):
+    """How many demonstrations of each task speak for and against each hypothesis.
+
+    Attributes:
+      avoiding: [K, H].
+      entering: [K, H].
+    """
+
+    avoiding: np.ndarray
+    entering: np.ndarray
+
+
+def log_likelihood(log_ratio: np.ndarray, counts: Counts, tolerance: float) -> np.ndarray:
+    """Return log L [..., H], nats; -inf where ruled out.
+
+    Args:
+      log_ratio: [..., K, H] log Z_c / Z_0, nats; finite where `counts` are not zero.
+      counts: of the demonstrations.
+      tolerance: eps.
+    """
+    value = (counts.avoiding * avoiding_term(log_ratio, tolerance)).sum(axis=-2)
+    entering = counts.entering.sum(axis=0)
+    if tolerance == 0.0:
+        return np.where(entering > 0, -np.inf, value)
+    return value + entering * math.log(tolerance)
+
+
+def avoiding_term(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return log L_d of a demonstration that avoids c, nats, for every log Z_c / Z_0 [...]."""
+    if tolerance == 0.0:
+        return -log_ratio
+    return np.logaddexp(math.log(tolerance), math.log1p(-tolerance) - log_ratio)
+
+
+def sensitivity(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return by how much `avoiding_term` falls as log Z_c / Z_0 [...] rises, from 0 to 1."""
+    if tolerance == 0.0:
+        return np.ones_like(log_ratio)
+    return np.exp(math.log1p(-tolerance) - log_ratio - avoiding_term(log_ratio, tolerance))
+
+
+def checked_tolerance(tolerance: float) -> float:
+    """Return eps.
+
+    Raises:
+      ValueError: if it is not from 0 to MAX_TOLERANCE: demonstrations that ignore a constraint more
+        often than not tell nothing of it, and with eps = 1 nothing at all.
+    """
+    if not 0.0 <= tolerance <= MAX_TOLERANCE:
+        raise ValueError(
+            "tolerance: expected the probability that a demonstration ignores the constraint, from "
+            f"0 to {MAX_TOLERANCE}, got {tolerance}"
+        )
+    return float(tolerance)
+
+
+def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:
+    """Return the least eps with which a hypothesis is more probable than no constraint.
+
+    None where there is none up to MAX_TOLERANCE.
+
+    Args:
+      log_ratio: [K, H] nats, finite where `counts` are not zero.
+      counts: of the demonstrations.
+      log_prior: [H] log prior(c) / P(none), nats.
+    """
+    for tolerance in np.geomspace(LEAST_TOLERANCE, MAX_TOLERANCE, NUM_TOLERANCES):
+        if (log_likelihood(log_ratio, counts, float(tolerance)) + log_prior > 0.0).any():
+            return float(tolerance)
+    return None

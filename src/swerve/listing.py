@@ -1,0 +1,118 @@
+"""An inference as text and as JSON data, row by row.
+
+Shapes: K tasks, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from swerve.inference import Inference
+
+
+def table(inference: Inference, num_rows: int) -> str:
+    """Return the head of the ranking as text."""
+    columns = f"{'nats':>8} {'+-':>6}  {'posterior':>9}  {'violated':>8}"
+    lines = [f"{'rank':>5} {'index':>6}  {columns}  hypothesis"]
+    ranking, ranks = inference.ranking, inference.rank
+    for index, rank in list(zip(ranking, ranks, strict=True))[:num_rows]:
+        tied = "=" if np.count_nonzero(ranks == rank) > 1 else " "
+        least = "≥" if inference.is_lower_bound[index] else " "
+        lines.append(
+            f"{rank:>4}{tied} {index:>6} {least}{inference.log_likelihood[index]:>8.2f} "
+            f"{inference.standard_error[index]:>6.2f}  "
+            f"{inference.posterior.hypotheses[index]:>9.4f}  "
+            f"{inference.average_violation[index]:>8.3f}  {inference.hypothesis_name(index)}"
+        )
+    if len(ranking) > num_rows:
+        lines.append(f"      ... {len(ranking) - num_rows} more")
+    return "\n".join(lines)
+
+
+def to_json(inference: Inference) -> dict[str, Any]:
+    """Return the ranking, best first, the posterior and diagnostics of each task used."""
+    evidence = inference.evidence
+    tasks = inference.task_of if inference.demonstrations else range(evidence.num_tasks)
+    return {
+        "headline": inference.headline,
+        "problem": evidence.problem.summary,
+        "score": inference.score_name,
+        "tolerance": inference.tolerance,
+        "num_demonstrations": len(inference.demonstrations),
+        "none": _none(inference),
+        "credible_set": _credible_set(inference),
+        "ranking": [
+            {
+                "index": int(index),
+                "name": inference.hypothesis_name(index),
+                "log_likelihood": float(inference.log_likelihood[index]),
+                "standard_error": float(inference.standard_error[index]),
+                "is_lower_bound": bool(inference.is_lower_bound[index]),
+                "average_violation": float(inference.average_violation[index]),
+                "posterior": float(inference.posterior.hypotheses[index]),
+                "posterior_error": float(inference.posterior.error[index]),
+                "rank": int(rank),
+            }
+            for index, rank in zip(inference.ranking, inference.rank, strict=True)
+        ],
+        "struck_out": _struck_out(inference),
+        "warnings": list(inference.warnings),
+        "diagnostics": [_task_diagnostics(inference, int(k)) for k in dict.fromkeys(tasks)],
+    }
+
+
+def _none(inference: Inference) -> dict[str, Any]:
+    factor = inference.log_bayes_factor
+    return {
+        "prior": float(inference.prior[0]),
+        "posterior": inference.posterior.none,
+        "posterior_error": inference.posterior.none_error,
+        "log_bayes_factor": factor if math.isfinite(factor) else None,
+        "least_tolerance": inference.least_tolerance,
+    }
+
+
+def _credible_set(inference: Inference) -> dict[str, Any]:
+    credible = inference.credible_set()
+    return {
+        "has_none": credible.has_none,
+        "hypotheses": credible.hypotheses.tolist(),
+        "probability": credible.probability,
+    }
+
+
+def _struck_out(inference: Inference) -> list[dict[str, Any]]:
+    against = inference.entered & inference.is_counted[inference.task_of]
+    return [
+        {
+            "index": index,
+            "name": inference.hypothesis_name(index),
+            "impossible": bool(inference.impossible[index]),
+            "entered_by": [
+                inference.demonstrations[d].name for d in np.flatnonzero(against[:, index])
+            ],
+        }
+        for index in np.flatnonzero(inference.struck_out).tolist()
+    ]
+
+
+def _task_diagnostics(inference: Inference, task: int) -> dict[str, Any]:
+    evidence = inference.evidence
+    return {
+        "task": task,
+        "demonstrations": inference.demonstrations_of(task),
+        "start": evidence.tasks.start[task].tolist(),
+        "goal": evidence.tasks.goal[task].tolist(),
+        "solver": evidence.solver,
+        "method": evidence.method,
+        "num_trajectories": evidence.num_trajectories,
+        "effective_sample_size": float(evidence.effective_sample_size[task]),
+        "log_partition": float(evidence.log_partition[task]),
+        "kl": float(evidence.kl[task]),
+        "island_spread": float(evidence.island_spread[task]),
+        "distinct_share": float(evidence.distinct_share[task]),
+        "verdict": inference.verdict(task),
+    }
