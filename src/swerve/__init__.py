@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from swerve.inference import Inference, infer
     from swerve.mdp import MDP, rk4
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
+    from swerve.occupancy import Occupancy
     from swerve.problem import Problem
     from swerve.resolving import resolve
     from swerve.sampling import sample
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from swerve.solvers.enumeration import Enumeration
     from swerve.solvers.grid import Grid
     from swerve.solvers.ppo import PPO
+    from swerve.solvers.soft_paths import SoftPaths
     from swerve.solvers.soft_value import SoftValue
     from swerve.solvers.tabular import Tabular
     from swerve.space import StateSpace, Task
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from swerve.systems.gridworld import Gridworld
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
+    from swerve.systems.walker import Walker
     from swerve.temperature import BetaFit, fit_beta
 
 __version__ = "0.1.0"
@@ -64,17 +67,20 @@ _HOMES = {
     "Inference": "inference",
     "MDP": "mdp",
     "Nominal": "nominal",
+    "Occupancy": "occupancy",
     "PPO": "solvers.ppo",
     "Pick": "selection",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
     "Problem": "problem",
+    "SoftPaths": "solvers.soft_paths",
     "SoftValue": "solvers.soft_value",
     "StateSpace": "space",
     "Tabular": "solvers.tabular",
     "TabularMDP": "systems.tabular",
     "Task": "space",
     "Union": "constraints",
+    "Walker": "systems.walker",
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "selection",
     "fit_beta": "temperature",
@@ -115,16 +121,19 @@ __all__ = [
     "HypothesisSet",
     "Inference",
     "Nominal",
+    "Occupancy",
     "Pendulum",
     "Pick",
     "Predicate",
     "Problem",
+    "SoftPaths",
     "SoftValue",
     "StateSpace",
     "Tabular",
     "TabularMDP",
     "Task",
     "Union",
+    "Walker",
     "demonstrate",
     "divergence",
     "fit_beta",

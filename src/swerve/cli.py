@@ -50,9 +50,9 @@ WorkFolder = Annotated[
 SolverName = Annotated[
     str | None,
     Parameter(
-        help="grid, soft-value, distilled, ppo, tabular, enumeration or discrete, with settings "
-        "as in 'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular where "
-        "states are finitely many, grid for up to 3 states, else soft-value]"
+        help="grid, soft-value, distilled, ppo, tabular, enumeration, discrete or soft-paths, with "
+        "settings as in 'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular "
+        "where states are finitely many, grid for up to 3 states, else soft-value]"
     ),
 ]
 Samples = Annotated[

@@ -31,6 +31,7 @@ from swerve.constraints import (
     violates,
 )
 from swerve.grid_axis import GridAxis
+from swerve.occupancy import Occupancy
 from swerve.space import Actions, StateSpace
 
 BLOCK = 1 << 16  # states judged at once: what is worked out for them stays in cache
@@ -307,6 +308,8 @@ def constraint_from_json(data: dict[str, Any]) -> Constraint:
                 for name, (low, high) in data["intervals"].items()
             }
         )
+    if data["kind"] == "occupancy":
+        return Occupancy.from_json(data)
     return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
 
 

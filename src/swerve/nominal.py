@@ -22,6 +22,7 @@ from swerve.solvers.distilled import Distilled
 from swerve.solvers.enumeration import Enumeration
 from swerve.solvers.grid import MAX_DIMENSIONS, Grid
 from swerve.solvers.ppo import PPO
+from swerve.solvers.soft_paths import SoftPaths
 from swerve.solvers.soft_value import SoftValue
 from swerve.solvers.tabular import Tabular
 from swerve.space import Task
@@ -129,6 +130,7 @@ SOLVERS: dict[str, type[Solver]] = {
     "tabular": Tabular,
     "discrete": Discrete,
     "enumeration": Enumeration,
+    "soft-paths": SoftPaths,
 }
 
 

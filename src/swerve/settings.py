@@ -9,7 +9,7 @@ from swerve.arguments import whole_number
 from swerve.samples import EXACT, METHODS, NUM_KEPT, SMC_SOLVERS
 from swerve.specification import Specification
 
-EXACT_SOLVERS = ("enumeration", "tabular", "discrete")
+EXACT_SOLVERS = ("enumeration", "tabular", "discrete", "soft-paths")
 
 
 @dataclasses.dataclass(frozen=True)

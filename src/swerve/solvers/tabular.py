@@ -150,11 +150,11 @@ class TableNominal:
         log_partition = float(goal_table.values[0, start])
         num_hypotheses = len(self.problem.hypotheses)
         avoid = np.full(num_hypotheses, np.nan)
-        block = max(8, BLOCK // self._bits.shape[0] // 8 * 8)
+        block = max(8, BLOCK // self.bits.shape[0] // 8 * 8)
         for first in range(0, num_hypotheses if np.isfinite(log_partition) else 0, block):
             some = slice(first, min(first + block, num_hypotheses))
             share = (some.stop - some.start) / num_hypotheses
-            enters = unpack(self._bits[:, first // 8 : -(-some.stop // 8)], some.stop - some.start)
+            enters = unpack(self.bits[:, first // 8 : -(-some.stop // 8)], some.stop - some.start)
             avoid[some] = goal_table.avoid_probability(
                 start, enters, lambda part, share=share: advance(share * part)
             )
@@ -218,10 +218,10 @@ class TableNominal:
         Nor has it steps that enter one of the hypotheses to be avoided.
         """
         [members] = pack_sets([avoiding], len(self.problem.hypotheses))
-        allowed = self._allowed & ~enters_set(self._bits, members).reshape(self._allowed.shape)
+        allowed = self.allowed & ~enters_set(self.bits, members).reshape(self.allowed.shape)
         problem, beta = self.problem, self.problem.beta
         offset = -np.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
-        terminal, ended = self._ends(goal)
+        terminal, ended = self.ends(goal)
         rewards = self.rewards(goal)
         self._check_rewards("reward", np.where(allowed, rewards, 0.0))
         self._check_rewards("terminal_reward", terminal)
@@ -243,7 +243,7 @@ class TableNominal:
                 f"{state}: expected a number, or -inf for what is not allowed"
             )
 
-    def _ends(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def ends(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return r_T [S] and whether episodes end [S] at each state."""
         terminal, ended = self._at_states(jnp.asarray(goal, jnp.float32))
         return np.asarray(terminal, float), np.asarray(ended)
@@ -261,7 +261,7 @@ class TableNominal:
         return at_states
 
     @cached_property
-    def _steps(self) -> tuple[np.ndarray, Actions]:
+    def steps(self) -> tuple[np.ndarray, Actions]:
         """[S * A, 2, n] all steps, and their actions [S * A, 1, m]."""
         problem, states = self.problem, self.table.states
         num_actions = problem.mdp.num_actions
@@ -273,17 +273,17 @@ class TableNominal:
         return steps, Actions(tuple(problem.mdp.action_names), actions[:, None])
 
     @cached_property
-    def _bits(self) -> np.ndarray:
+    def bits(self) -> np.ndarray:
         """[S * A, B] packed bits of the hypotheses that a step enters."""
-        problem, (steps, actions) = self.problem, self._steps
+        problem, (steps, actions) = self.problem, self.steps
         return problem.hypotheses.violations(
             steps, problem.mdp.space, problem.between_states, actions
         )
 
     @cached_property
-    def _allowed(self) -> np.ndarray:
+    def allowed(self) -> np.ndarray:
         """[S, A] whether an action is offered and enters no known constraint."""
-        problem, (steps, actions) = self.problem, self._steps
+        problem, (steps, actions) = self.problem, self.steps
         allowed = self.table.successors.ravel() >= 0
         for constraint in problem.known:
             allowed &= ~violates(
@@ -297,9 +297,9 @@ class TableNominal:
         """Draw trajectories from pi_0; none where nothing is allowed."""
         num = NUM_KEPT if np.isfinite(goal_table.values[0, start]) else 0
         states, actions, length = goal_table.draw(start, num, generator)
-        rewards, (terminal, _) = self.rewards(task.goal), self._ends(task.goal)
+        rewards, (terminal, _) = self.rewards(task.goal), self.ends(task.goal)
         taken = np.arange(goal_table.num_steps) < length[:, None]
-        bits = self._bits.reshape(*goal_table.reward.shape, -1)[states[:, :-1], actions]
+        bits = self.bits.reshape(*goal_table.reward.shape, -1)[states[:, :-1], actions]
         return Drawn(
             states=self.table.states[states],
             total_reward=np.where(taken, rewards[states[:, :-1], actions], 0.0).sum(axis=1)

@@ -1,0 +1,115 @@
+"""People who walk to a goal: soft shortest paths over the floor of a room.
+
+    s' = s + a,   r(s, a) = -|a|,   r_T = 0 within reach of the goal, -inf elsewhere,
+
+s = (x, y) [m] the position, a one of 16 displacements, to the points of a square lattice that are a
+chess king's or a knight's move away: 16 headings, 18 to 27 degrees apart. So R is minus
+the distance walked, and what is left of it at best is the way still to go.
+
+The number of steps is free, and with the counting measure each step is a choice that has weight of
+its own: the walks of all lengths have a finite sum only where
+
+    sum_a exp(-beta |a|) < 1.
+
+Near that least beta people stray as far as they can and still arrive; far above it they take the
+shortest way.
+"""
+
+from __future__ import annotations
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from swerve.arguments import positive_number
+from swerve.mdp import MDP
+
+KING_AND_KNIGHT = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
+SPEED = 1.2  # m/s, of people who walk
+NUM_HALVINGS = 60  # of an interval of betas
+
+
+def _bounds(bounds: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(low), float(high)) for low, high in bounds)
+
+
+class Walker(MDP):
+    """Somebody who walks over a floor to a goal, a position (x, y) [m].
+
+    Walls are not its business: give them as known constraints (see `Occupancy`).
+
+    Attributes:
+      bounds: of x and y [m].
+      spacing: of the lattice whose points are a step apart [m].
+      reach: how near the goal is near enough [m].
+      num_steps: T, the most steps.
+    """
+
+    bounds: tuple[tuple[float, float], ...] = eqx.field(
+        static=True, default=((-5.0, 5.0), (-5.0, 5.0)), converter=_bounds
+    )
+    spacing: float = eqx.field(static=True, default=0.25)
+    reach: float = eqx.field(static=True, default=0.3)
+    num_steps: int = eqx.field(static=True, default=1000)
+
+    state_names = ("x", "y")
+    action_names = ("dx", "dy")
+
+    def __check_init__(self) -> None:
+        """Raise ValueError where a length is no positive number."""
+        for name in ("spacing", "reach"):
+            positive_number(getattr(self, name), f"Walker: {name}")
+
+    @property
+    def dt(self) -> float:
+        """Seconds that a step takes, on average over the actions, at walking speed."""
+        return float(np.linalg.norm(KING_AND_KNIGHT, axis=1).mean()) * self.spacing / SPEED
+
+    @property
+    def actions(self) -> Float[Array, "16 2"]:
+        """The displacements [m]."""
+        return self.spacing * jnp.array(KING_AND_KNIGHT, jnp.float32)
+
+    @property
+    def num_cells(self) -> tuple[int, int]:
+        """Cells of the lattice along x and y, whose centres are its points."""
+        x, y = (max(1, round((high - low) / self.spacing)) for low, high in self.bounds)
+        return x, y
+
+    @property
+    def least_beta(self) -> float:
+        """The beta [nats/m] above which all walks, of any length, have a finite sum of weights."""
+        lengths = self.spacing * np.linalg.norm(KING_AND_KNIGHT, axis=1)
+        low, high = 0.0, math.log(len(lengths)) / self.spacing
+        for _ in range(NUM_HALVINGS):
+            middle = 0.5 * (low + high)
+            is_finite = np.exp(-middle * lengths).sum() < 1.0
+            low, high = (low, middle) if is_finite else (middle, high)
+        return high
+
+    def dynamics(self, state: Float[Array, "2"], action: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Return the position one step later."""
+        return state + action
+
+    def reward(
+        self,
+        state: Float[Array, "2"],
+        action: Float[Array, "2"],
+        next_state: Float[Array, "2"],
+        goal: Float[Array, "2"],
+    ) -> Float[Array, ""]:
+        """Return minus the length of the step [m]."""
+        return -jnp.linalg.norm(action)
+
+    def terminal_reward(
+        self, state: Float[Array, "2"], goal: Float[Array, "2"]
+    ) -> Float[Array, ""]:
+        """Return -inf where the goal was not reached."""
+        return jnp.where(self.terminated(state, goal), 0.0, -jnp.inf)
+
+    def terminated(self, state: Float[Array, "2"], goal: Float[Array, "2"]) -> Bool[Array, ""]:
+        """Return whether the goal is within reach."""
+        return jnp.linalg.norm(state - goal) < self.reach
