@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -83,6 +84,10 @@ def infer(
     seed: Seed = None,
     work: WorkFolder = None,
     report: Path | None = None,
+    prior_none: float = 0.5,
+    tolerance: float = 0.0,
+    margin: Annotated[dict[str, float] | None, Parameter(negative=())] = None,
+    clearance: float | None = None,
     no_resolve: bool = False,
     as_json: AsJson = False,
 ) -> None:
@@ -95,6 +100,12 @@ def infer(
       demonstrations: CSV or Parquet files whose columns include the states' names.
       score: likelihood, or average: the paper's average violation probability.
       report: HTML page to write, with the picture, the ranking and the diagnostics.
+      prior_none: Probability of no constraint before the demonstrations; the hypotheses share the
+        rest.
+      tolerance: Probability with which a demonstration ignores the constraint.
+      margin: How deep inside a hypothesis a demonstration must be to have entered it, for states
+        measured with noise: --margin.x 0.05, in the state's unit.
+      clearance: Leave a hypothesis out for tasks that start or end within this distance of it.
       no_resolve: Leave the score of what next to no trajectory avoids at what the samples tell, a
         lower bound, instead of working out what avoiding it takes, which may need minutes.
     """
@@ -108,9 +119,18 @@ def infer(
     evidence = job.evidence(asked)
     if not found and asked is not None:
         evidence = _only(evidence, asked)
-    result = infer_constraints(evidence, found, score=score)
+    rank = partial(
+        infer_constraints,
+        demonstrations=found,
+        score=score,
+        prior=prior_none,
+        tolerance=tolerance,
+        margin=margin,
+        clearance=clearance,
+    )
+    result = rank(evidence)
     if not no_resolve:
-        result = infer_constraints(job.resolved(result), found, score=score)
+        result = rank(job.resolved(result))
     _show(result, report, as_json)
 
 
