@@ -77,6 +77,17 @@ class Occupancy(Constraint):
         """The name it was given."""
         return self._name
 
+    def widened(self, distance: float) -> Occupancy:
+        """Return the places nearer than a distance to one that is blocked, and those.
+
+        The middle of a body as wide cannot come there; beyond the map counts as blocked.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        free = np.pad(~self.blocked, 1)
+        nearest = np.asarray(distance_transform_edt(free))[1:-1, 1:-1] * self.cell
+        return Occupancy(self.name, nearest < distance, self.corner, self.cell, self.names)
+
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where one of its names is no state, or an angle."""
         for name in self.names:

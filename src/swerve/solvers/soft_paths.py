@@ -280,13 +280,14 @@ class PathNominal:
         last = np.take_along_axis(path, length[:, None], axis=1)
         path = np.where(np.arange(num_steps + 1) <= length[:, None], path, last)
         numbers, terminal = self._numbers[steps], self.table.ends(task.goal)[0][self._states]
-        bits = np.where(taken[..., None], self._bits[steps], 0)
+        bits = self._bits[steps[taken]]  # one trajectory after the other
+        first = np.cumsum(length) - length
         return Drawn(
             states=self.table.table.states[self._states[path]],
             total_reward=np.where(taken, self._rewards.ravel()[numbers], 0.0).sum(axis=1)
             + terminal[last[:, 0]],
             length=length,
-            violations=np.bitwise_or.reduce(bits, axis=1),
+            violations=np.bitwise_or.reduceat(bits, first, axis=0),
         )
 
 

@@ -1,0 +1,287 @@
+"""Where is the obstacle that people walk around? Constraint inference from tracks through a room.
+
+People are taken to follow soft shortest paths over the floor (`Walker`): walls are known, nothing
+else is. Hypothesised are all squares of 0.75 m that overlap by three quarters and have some floor
+in them; a track says nothing of those within 0.75 m of its own ends. Answers are exact.
+
+beta is chosen by cross-validation. Squares that one track enters are free, and so no constraint
+there moves the others: beta is that under which each track does enter, or does not, the squares
+that another one has entered most probably,
+
+    sum_i mean_c log p_i(c),   p_i(c) = 1 - Z_c/Z_0 if track i enters c, Z_c/Z_0 if not,
+
+i over tracks, c over the squares that count for i and that a track other than i enters. What a path
+looks like from step to step does not come into it: people's are smoother than those of a lattice,
+and by their lengths beta would be at the boundary.
+
+Shapes: D tracks, H hypotheses, L betas, N numbers of tracks, R random subsets, P picks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swerve.hypotheses import HypothesisSet, windows
+from swerve.inference import Inference, infer
+from swerve.posterior import NONE, posterior
+from swerve.problem import Problem
+from swerve.progress import progress_bar
+from swerve.reproduce.human_tracks import Room, Tracks, read_room, read_tracks
+from swerve.sampling import sample
+from swerve.selection import Pick, greedy
+from swerve.solvers.soft_paths import PathNominal, SoftPaths
+from swerve.space import Task
+from swerve.systems.walker import Walker
+
+BODY = 0.2  # m, between walls and the middle of a person
+WIDTH, OVERLAP = 0.75, 4  # m, of a square; squares that lie over each point along an axis
+CLEARANCE = 0.75  # m, between the ends of a track and the squares that it tells of
+MARGIN = 3  # cells of the lattice around the floor, more than the longest step
+NUM_PICKS = 3
+FIRST, RATIO, LAST = 1.02, 1.05, 3.0  # betas that are tried, in units of the least
+QUICK_RATIO, QUICK_LAST = 1.1, 2.0
+UNLIKELY = 1e-6  # the least probability that a track is charged for
+NUM_RESAMPLED = 1000  # sets of tracks, for the interval of beta
+NUM_SUBSETS = 300
+SIZES = (1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)  # of subsets
+INTERVAL = (5.0, 95.0)  # percentiles
+RULE = "cross-validated likelihood of which squares that another track has entered a track enters"
+
+
+class Beta(NamedTuple):
+    """How beta was chosen.
+
+    Attributes:
+      value: the beta [nats/m].
+      interval: where it lies for 95 % of sets of tracks drawn anew from these.
+      least: above which pi_0 exists.
+      tried: [L] betas.
+      score: [L, D] mean log-probability of what each track enters, nats a square.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    least: float
+    tried: np.ndarray
+    score: np.ndarray
+
+    @property
+    def at_boundary(self) -> bool:
+        """Whether one of the outermost betas that were tried is the best."""
+        return self.value in (self.tried[0], self.tried[-1])
+
+
+class Answer(NamedTuple):
+    """What is inferred at one beta.
+
+    Attributes:
+      beta: nats/m.
+      inference: with all squares in competition.
+      picks: of the greedy search, in order.
+      gains: [P, D] nats that each pick adds to the log-likelihood of each track.
+      elsewhere: the best square that does not overlap the first pick; None if there is none.
+    """
+
+    beta: float
+    inference: Inference
+    picks: list[Pick]
+    gains: np.ndarray
+    elsewhere: int | None
+
+
+class Belief(NamedTuple):
+    """What random subsets of the tracks tell.
+
+    Attributes:
+      sizes: [N] tracks of a subset.
+      near: [N, R] probability of a constraint that overlaps the first pick of all tracks.
+      none: [N, R] probability of no constraint.
+      gain: [N, R] log-likelihood ratio of the first pick, nats.
+    """
+
+    sizes: list[int]
+    near: np.ndarray
+    none: np.ndarray
+    gain: np.ndarray
+
+
+class Result(NamedTuple):
+    """What was measured.
+
+    Attributes:
+      room: the map.
+      tracks: what people did.
+      beta: how it was chosen.
+      answer: at that beta.
+      sensitivity: answers at about half of that beta, at it and at twice as much.
+      belief: as a function of the number of tracks.
+    """
+
+    room: Room
+    tracks: Tracks
+    beta: Beta
+    answer: Answer
+    sensitivity: list[Answer]
+    belief: Belief
+
+
+def reproduce(
+    data: Path, *, is_quick: bool = False, seed: int = 0, progress: bool = False
+) -> Result:
+    """Find what the people in a room walk around.
+
+    Args:
+      data: folder of `tracks.csv` and `room.png`.
+      is_quick: whether to try fewer betas.
+      seed: of what is drawn at random: sets of tracks.
+      progress: whether to show a progress bar.
+
+    Raises:
+      OSError: if a file is missing.
+      ValueError: if a file cannot be understood, or a track cannot be explained.
+    """
+    room = read_room(data)
+    tracks = read_tracks(data, room)
+    nominal = SoftPaths().learn(problem_of(room))
+    generator = np.random.default_rng(seed)
+    ratio, last = (QUICK_RATIO, QUICK_LAST) if is_quick else (RATIO, LAST)
+    least = _walker(room).least_beta
+    tried = least * FIRST * ratio ** np.arange(1 + math.log(last / FIRST) / math.log(ratio))
+    with progress_bar("walking", len(tried) + 15.0, progress) as advance:
+        beta = choose_beta(nominal, tracks, tried, generator, lambda: advance(1.0, "choosing beta"))
+        answers = []
+        for value in (max(0.5 * beta.value, FIRST * least), beta.value, 2.0 * beta.value):
+            answers.append(answer_at(nominal.at_beta(value), tracks))
+            advance(5.0, "inferring")
+    belief = belief_of(answers[1], generator)
+    return Result(room, tracks, beta, answers[1], answers, belief)
+
+
+def problem_of(room: Room, beta: float | None = None) -> Problem:
+    """Return the problem of a room: its walls are known, squares of its floor are hypothesised."""
+    walker = _walker(room)
+    corner = WIDTH * np.floor(room.floor[:, 0] / WIDTH)
+    end = WIDTH * np.ceil(room.floor[:, 1] / WIDTH)
+    (x, y) = ((float(low), float(high), WIDTH) for low, high in zip(corner, end, strict=True))
+    return Problem(
+        walker,
+        windows(x=x, y=y, overlap=OVERLAP),
+        beta=FIRST * walker.least_beta if beta is None else beta,
+        measure="counting",
+        known=[room.walls],
+    )
+
+
+def _walker(room: Room) -> Walker:
+    """Return a walker whose lattice covers the floor."""
+    spacing = Walker.spacing
+    low = spacing * (np.floor(room.floor[:, 0] / spacing) - MARGIN)
+    high = spacing * (np.ceil(room.floor[:, 1] / spacing) + MARGIN)
+    (x, y) = zip(low.tolist(), high.tolist(), strict=True)
+    return Walker(bounds=(x, y))
+
+
+def squares(hypotheses: HypothesisSet) -> np.ndarray:
+    """Return (x low, x high, y low, y high) [H, 4] of each hypothesis [m]."""
+    boxes = [hypotheses.constraint(index).intervals for index in range(len(hypotheses))]
+    return np.array([(*box["x"], *box["y"]) for box in boxes])
+
+
+def choose_beta(
+    nominal: PathNominal,
+    tracks: Tracks,
+    tried: np.ndarray,
+    generator: np.random.Generator,
+    advance: Any = lambda: None,
+) -> Beta:
+    """Choose beta as the module says, among some."""
+    demonstrations = tracks.used
+    tasks = Task.stack([item.task for item in demonstrations])
+    start = infer(sample(nominal, tasks), demonstrations, clearance=CLEARANCE)
+    entered = start.entered & start.is_counted[start.task_of]
+    others = entered.sum(axis=0) - entered > 0
+    counts = others & start.is_counted[start.task_of]
+    score = []
+    for beta in tried:
+        avoid = np.clip(np.exp(nominal.at_beta(float(beta)).log_ratio(tasks)), 0.0, 1.0)
+        probability = np.maximum(np.where(entered, 1.0 - avoid, avoid), UNLIKELY)
+        total = np.where(counts, np.log(probability), 0.0).sum(axis=1)
+        score.append(total / np.maximum(counts.sum(axis=1), 1))
+        advance()
+    score = np.array(score)
+    num = len(demonstrations)
+    weights = generator.multinomial(num, np.full(num, 1.0 / num), NUM_RESAMPLED)
+    found = tried[(score @ weights.T).argmax(axis=0)]
+    low, high = np.percentile(found, (2.5, 97.5)).tolist()
+    best = float(tried[score.sum(axis=1).argmax()])
+    return Beta(best, (low, high), _walker_of(nominal).least_beta, tried, score)
+
+
+def _walker_of(nominal: PathNominal) -> Walker:
+    walker = nominal.problem.mdp
+    assert isinstance(walker, Walker)
+    return walker
+
+
+def answer_at(nominal: PathNominal, tracks: Tracks) -> Answer:
+    """Infer from all tracks at the beta of a nominal distribution."""
+    demonstrations = tracks.used
+    tasks = Task.stack([item.task for item in demonstrations])
+    evidence = sample(nominal, tasks)
+    hypotheses, room = evidence.problem.hypotheses, evidence.problem.known[0]
+    inference = infer(
+        evidence, demonstrations, clearance=CLEARANCE, prior=floor_prior(hypotheses, room)
+    )
+    picks = greedy(nominal, demonstrations, threshold=0.0, most=NUM_PICKS, clearance=CLEARANCE)
+    log_partition = [evidence.log_partition, *(pick.log_partition for pick in picks)]
+    gains = -np.diff(np.array(log_partition), axis=0)[:, inference.task_of]
+    elsewhere = None
+    if picks:
+        apart = ~overlapping(squares(hypotheses), picks[0].hypothesis)
+        left = [int(index) for index in inference.ranking if apart[index]]
+        elsewhere = left[0] if left else None
+    return Answer(nominal.problem.beta, inference, picks, gains, elsewhere)
+
+
+def overlapping(found: np.ndarray, index: int) -> np.ndarray:
+    """Return which squares [H] of some [H, 4] overlap one of them."""
+    x_low, x_high, y_low, y_high = found.T
+    x, y = found[index, :2], found[index, 2:]
+    return (x_low < x[1]) & (x_high > x[0]) & (y_low < y[1]) & (y_high > y[0])
+
+
+def floor_prior(hypotheses: HypothesisSet, room: Any) -> np.ndarray:
+    """Return the prior [H + 1]: half of it for no constraint, the rest for squares with floor."""
+    free = np.pad(np.cumsum(np.cumsum(~room.blocked, axis=0), axis=1), ((1, 0), (1, 0)))
+    edges = squares(hypotheses).reshape(-1, 2, 2)  # of x and of y
+    places = np.round((edges - np.array(room.corner)[:, None]) / room.cell).astype(int)
+    (left, right), (low, high) = np.clip(places, 0, np.array(room.blocked.shape[::-1])[:, None]).T
+    has_floor = free[high, right] - free[low, right] - free[high, left] + free[low, left] > 0
+    return np.concatenate([[NONE], (1.0 - NONE) * has_floor / has_floor.sum()])
+
+
+def belief_of(answer: Answer, generator: np.random.Generator) -> Belief:
+    """Return what random subsets of the tracks tell, of all sizes."""
+    inference, num = answer.inference, len(answer.inference.demonstrations)
+    sizes = [*(size for size in SIZES if size < num), num]
+    shape = len(sizes), NUM_SUBSETS
+    near, none, gain = (np.zeros(shape) for _ in range(3))
+    if not answer.picks:
+        none += 1.0
+        return Belief(sizes, near, none, gain)
+    first = answer.picks[0].hypothesis
+    is_near = overlapping(squares(inference.evidence.problem.hypotheses), first)
+    impossible = np.where(inference.impossible, -np.inf, 0.0)
+    for k, size in enumerate(sizes):
+        for r in range(NUM_SUBSETS):
+            chosen = generator.choice(num, size, replace=False)
+            told = inference.contributions[chosen].sum(axis=0) + impossible
+            found = posterior(told, inference.prior)
+            none[k, r], near[k, r] = found[0], found[1:][is_near].sum()
+            gain[k, r] = told[first]
+    return Belief(sizes, near, none, gain)
