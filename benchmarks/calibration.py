@@ -45,10 +45,11 @@ from swerve.tasks import draw_tasks
 
 PROBLEMS = {"pendulum": "pendulum?max_torque=10", "gridworld": "gridworld"}
 NUM_TASKS = 12
-NUM_DEMONSTRATIONS = (1, 2, 4, 8)
+NUM_DEMONSTRATIONS = (1, 3, 10, 30)
 LEVELS = (0.5, 0.8, 0.95)
 LEAST_AVOID = 0.01  # of a hypothesis that the prior allows, in every task
 NUM_BINS = 10
+LEAST_IN_BIN = 20  # draws; the share of fewer is noise
 NONE = -1  # what the truth is called where there is no constraint
 
 
@@ -250,7 +251,7 @@ def summarise(trials: list[Trial]) -> dict[str, Any]:
             "num": int((place == k).sum()),
         }
         for k in range(NUM_BINS)
-        if (place == k).any()
+        if (place == k).sum() >= LEAST_IN_BIN
     ]
     return {
         "num": num,
@@ -292,7 +293,7 @@ def table(name: str, rows: dict[str, dict[str, Any]]) -> Table:
 
 def draw_figure(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> None:
     """Draw P(no constraint) against how often there was none."""
-    figure = Figure((3.5 * len(found), 3.6), layout="constrained", facecolor="white")
+    figure = Figure((max(6.5, 3.6 * len(found)), 4.4), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
     styles = ("o-", "s--", "^:", "v:", "D-.", "x-.")
@@ -320,7 +321,7 @@ def draw_figure(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> None
 
 def main() -> None:
     """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--draws", type=int, default=1_000, help="of each scenario")
     parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
     parser.add_argument("--problem", choices=PROBLEMS, action="append")

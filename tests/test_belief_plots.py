@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.patches import Rectangle
 from synthetic import make_demonstration, make_evidence
 
 from swerve import infer, plot_contributions
@@ -24,7 +25,7 @@ class TestContributions:
     def test_bars_are_the_contributions(self) -> None:
         result = from_demonstrations(tolerance=0.1)
         figure = plot_contributions(result, 2)
-        bars = [patch.get_width() for patch in figure.axes[0].patches]
+        bars = [bar.get_width() for bar in figure.axes[0].patches if isinstance(bar, Rectangle)]
         values = np.sort(result.contributions[:, 2])[::-1]
         np.testing.assert_allclose(bars, values)
         assert bars[-1] == pytest.approx(np.log(0.1))

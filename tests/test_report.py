@@ -206,7 +206,9 @@ class TestRanking:
             )
             assert float(row[4]) == pytest.approx(result.standard_error[index], abs=6e-4)
             found = result.posterior
-            assert row[5] == wording.probability(found.hypotheses[index], found.error[index])
+            assert row[5] == wording.probability(
+                float(found.hypotheses[index]), float(found.error[index])
+            )
             assert float(row[6]) == pytest.approx(result.average_violation[index], abs=6e-5)
         assert f"{len(rows)} cells left, {result.struck_out.sum()} struck out" in parsed.words
 
