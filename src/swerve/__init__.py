@@ -9,6 +9,7 @@ stored evidence never imports JAX.
 TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 
 if TYPE_CHECKING:
+    from swerve.belief_plots import plot_contributions
     from swerve.boxes import ActionBox, Box
     from swerve.constraints import Constraint, Predicate, Union
     from swerve.demonstrations import (
@@ -94,6 +95,7 @@ _HOMES = {
     "load_problem": "specification",
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
+    "plot_contributions": "belief_plots",
     "rk4": "mdp",
     "resolve": "resolving",
     "sample": "sampling",
@@ -145,6 +147,7 @@ __all__ = [
     "learn",
     "load_nominal",
     "load_problem",
+    "plot_contributions",
     "read_demonstrations",
     "read_tasks",
     "resolve",
