@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.problem import Problem
     from swerve.resolving import resolve
+    from swerve.rewards import divergence
     from swerve.sampling import sample
-    from swerve.selection import Pick, divergence, greedy
+    from swerve.selection import Pick, greedy
     from swerve.solvers.discrete import Discrete
     from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
@@ -76,7 +77,7 @@ _HOMES = {
     "Task": "space",
     "Union": "constraints",
     "demonstrate": "demonstrators.boltzmann",
-    "divergence": "selection",
+    "divergence": "rewards",
     "fit_beta": "temperature",
     "greedy": "selection",
     "grid": "hypotheses",
