@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from swerve.occupancy import Occupancy
     from swerve.problem import Problem
     from swerve.resolving import resolve
+    from swerve.rewards import divergence
     from swerve.sampling import sample
-    from swerve.selection import Pick, divergence, greedy
+    from swerve.selection import Pick, greedy
     from swerve.solvers.discrete import Discrete
     from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
@@ -83,7 +84,7 @@ _HOMES = {
     "Union": "constraints",
     "Walker": "systems.walker",
     "demonstrate": "demonstrators.boltzmann",
-    "divergence": "selection",
+    "divergence": "rewards",
     "fit_beta": "temperature",
     "greedy": "selection",
     "grid": "hypotheses",
