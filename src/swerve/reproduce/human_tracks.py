@@ -11,7 +11,7 @@ Those are used that go somewhere, and about straight,
 
     |end - start| > 3 m,   length < 1.6 |end - start|,
 
-and that do not lead through walls.
+and that keep as far from walls as the middle of a body has to, 0.2 m.
 
 Shapes: L samples of a track.
 """
@@ -38,17 +38,20 @@ LEAST_DISTANCE = 3.0  # m between the ends of a track
 MOST_WINDING = 1.6  # its length, in units of that distance
 LIGHT = 0.5  # of white: floor
 FEWEST = 2  # tracks
-REASONS = ("shorter than 3 m", "winding", "through walls")
+BODY = 0.2  # m, between walls and the middle of a person
+REASONS = ("shorter than 3 m", "winding", "less than 0.2 m from walls")
 
 
 class Room(NamedTuple):
     """The map of a room.
 
     Attributes:
-      walls: what nobody can enter.
+      picture: what is blocked.
+      walls: where the middle of nobody's body can be: that, and all less than 0.2 m from it.
       floor: [2, 2] (low, high) of x and y of the free floor [m].
     """
 
+    picture: Occupancy
     walls: Occupancy
     floor: np.ndarray
 
@@ -85,10 +88,12 @@ def read_room(folder: Path) -> Room:
         raise ValueError(f"{path}: all of it is dark; expected free floor to be light")
     corner, cell = _place(folder / "room.json")
     walls = Occupancy("walls", blocked, corner, cell)
+    if walls.widened(BODY).blocked.all():
+        raise ValueError(f"{path}: no floor wide enough for a body; check the scale in room.json")
     rows, columns = (np.flatnonzero((~blocked).any(axis=axis)) for axis in (1, 0))
     floor = [(low + cell * at[0], low + cell * (at[-1] + 1)) for low, at in
              zip(corner, (columns, rows), strict=True)]  # fmt: skip
-    return Room(walls, np.array(floor))
+    return Room(walls, walls.widened(BODY), np.array(floor))
 
 
 def _place(path: Path) -> tuple[tuple[float, float], float]:
@@ -146,12 +151,12 @@ def _reason(states: np.ndarray, room: Room) -> str | None:
     """Return why a track [L, 2] is not used."""
     distance = math.dist(states[0], states[-1])
     length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
-    short, winding, through = REASONS
+    short, winding, blocked = REASONS
     if distance <= LEAST_DISTANCE:
         return short
     if length >= MOST_WINDING * distance:
         return winding
-    return through if violates(room.walls, states, space(room), True) else None
+    return blocked if violates(room.walls, states, space(room), True) else None
 
 
 def space(room: Room) -> StateSpace:
@@ -161,10 +166,10 @@ def space(room: Room) -> StateSpace:
 
 def _check(path: Path, used: list[Any], left_out: dict[str, int]) -> None:
     """Raise ValueError where the tracks are not of this room, or too few."""
-    through = left_out[REASONS[2]]
-    if through > len(used):
+    blocked = left_out[REASONS[2]]
+    if blocked > len(used):
         raise ValueError(
-            f"{path}: {through} of {through + len(used)} tracks lead through walls or outside "
+            f"{path}: {blocked} of {blocked + len(used)} tracks lead through walls or outside "
             "room.png; expected positions in metres in the frame of the picture: place it with a "
             'room.json, {"corner": [x, y], "cell": side of a pixel}'
         )

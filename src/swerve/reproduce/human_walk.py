@@ -38,7 +38,6 @@ from swerve.solvers.soft_paths import PathNominal, SoftPaths
 from swerve.space import Task
 from swerve.systems.walker import Walker
 
-BODY = 0.2  # m, between walls and the middle of a person
 WIDTH, OVERLAP = 0.75, 4  # m, of a square; squares that lie over each point along an axis
 CLEARANCE = 0.75  # m, between the ends of a track and the squares that it tells of
 MARGIN = 3  # cells of the lattice around the floor, more than the longest step
@@ -237,7 +236,7 @@ def answer_at(nominal: PathNominal, tracks: Tracks) -> Answer:
     inference = infer(
         evidence, demonstrations, clearance=CLEARANCE, prior=floor_prior(hypotheses, room)
     )
-    picks = greedy(nominal, demonstrations, threshold=0.0, most=NUM_PICKS, clearance=CLEARANCE)
+    picks = greedy(inference, nominal, threshold=0.0, most=NUM_PICKS)
     log_partition = [evidence.log_partition, *(pick.log_partition for pick in picks)]
     gains = -np.diff(np.array(log_partition), axis=0)[:, inference.task_of]
     elsewhere = None
@@ -285,3 +284,73 @@ def belief_of(answer: Answer, generator: np.random.Generator) -> Belief:
             none[k, r], near[k, r] = found[0], found[1:][is_near].sum()
             gain[k, r] = told[first]
     return Belief(sizes, near, none, gain)
+
+
+def to_json(result: Result) -> dict[str, Any]:
+    """Return what was found as JSON data; gains are of all tracks together, in nats."""
+    beta, answer = result.beta, result.answer
+    posterior_found = answer.inference.posterior
+    return {
+        "num_tracks": len(result.tracks.used),
+        "left_out": result.tracks.left_out,
+        "beta": beta.value,
+        "beta_interval": list(beta.interval),
+        "beta_rule": RULE,
+        "beta_at_boundary": beta.at_boundary,
+        "least_beta": beta.least,
+        "num_hypotheses": int(np.count_nonzero(answer.inference.prior[1:])),
+        "probability_none": posterior_found.none,
+        "picks": picks_json(answer),
+        "elsewhere": elsewhere_json(answer),
+        "sensitivity": [
+            {
+                "beta": one.beta,
+                "probability_none": one.inference.posterior.none,
+                "picks": picks_json(one),
+                "elsewhere": elsewhere_json(one),
+            }
+            for one in result.sensitivity
+        ],
+        "belief": [
+            {
+                "num_tracks": size,
+                "near_first_pick": np.percentile(near, (50.0, *INTERVAL)).tolist(),
+                "probability_none": float(none.mean()),
+                "gain_nats": float(gain.mean()),
+            }
+            for size, near, none, gain in zip(*result.belief, strict=True)
+        ],
+    }
+
+
+def picks_json(answer: Answer) -> list[dict[str, Any]]:
+    """Return the picks in order, each with what it adds to those before it."""
+    found = squares(answer.inference.evidence.problem.hypotheses)
+    num = answer.gains.shape[1]
+    return [
+        {
+            "index": pick.hypothesis,
+            "centre": centre(found[pick.hypothesis]),
+            "width": WIDTH,
+            "gain_nats": pick.total_gain,
+            "gain_per_track": pick.gain,
+            "standard_error": float(gains.std(ddof=1) * math.sqrt(num)),
+            "log_odds": pick.log_odds,
+        }
+        for pick, gains in zip(answer.picks, answer.gains, strict=True)
+    ]
+
+
+def elsewhere_json(answer: Answer) -> dict[str, Any] | None:
+    """Return the best square that does not overlap the first pick, none being in force."""
+    if answer.elsewhere is None:
+        return None
+    inference, index = answer.inference, answer.elsewhere
+    found = squares(inference.evidence.problem.hypotheses)[index]
+    gain = float(inference.log_likelihood[index])
+    return {"index": index, "centre": centre(found), "gain_nats": gain}
+
+
+def centre(square: np.ndarray) -> list[float]:
+    """Return the middle (x, y) of a square [4], to a millimetre."""
+    return square.reshape(2, 2).mean(axis=1).round(3).tolist()

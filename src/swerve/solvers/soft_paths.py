@@ -31,6 +31,7 @@ from swerve.space import Task
 from swerve.systems.tabular import TabularMDP
 
 MAX_STATES = 8000  # whose matrix takes 0.5 GB and minutes
+NUM_FOUND = 3  # sets of hypotheses in force whose matrices are kept, some 0.1 GB each
 COLUMNS = 1 << 8  # hypotheses, whose steps are looked up at once
 SMALLEST = 1e-290  # sums of weights that are numbers with all their digits
 SHARED = ("_bits", "_steps", "_rewards")  # what no beta changes and takes long to work out
@@ -148,14 +149,14 @@ class PathNominal:
             return np.log(walks.avoiding(start, ends) / total)
 
     def _walks(self, avoiding: Sequence[int]) -> Walks:
-        """Return the walks that avoid some hypotheses; those of the last set are kept."""
+        """Return the walks that avoid some hypotheses; those last asked for are kept."""
         key = tuple(sorted(avoiding))
-        if key not in self._found:
-            pack_sets([key], len(self.problem.hypotheses))  # refuses what is no such list
-            for other in [other for other in self._found if other]:
-                del self._found[other]
-            self._found[key] = self._walks_of(key)
-        return self._found[key]
+        pack_sets([key], len(self.problem.hypotheses))  # refuses what is no such list
+        walks = self._found.pop(key, None) or self._walks_of(key)
+        self._found[key] = walks
+        while len(self._found) > NUM_FOUND:
+            del self._found[next(iter(self._found))]
+        return walks
 
     def _walks_of(self, avoiding: tuple[int, ...]) -> Walks:
         problem, steps = self.problem, self._steps
