@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.temperature import BetaFit, fit_beta
+    from swerve.windows import windows
 
 __version__ = "0.1.0"
 
@@ -95,6 +96,7 @@ _HOMES = {
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
+    "windows": "windows",
     "write_demonstrations": "demonstrations",
 }
 
@@ -146,6 +148,7 @@ __all__ = [
     "sample",
     "save_nominal",
     "tabular",
+    "windows",
     "write_demonstrations",
 ]
 
