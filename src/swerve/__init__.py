@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.systems.walker import Walker
     from swerve.temperature import BetaFit, fit_beta
+    from swerve.windows import windows
 
 __version__ = "0.1.0"
 
@@ -102,6 +103,7 @@ _HOMES = {
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
+    "windows": "windows",
     "write_demonstrations": "demonstrations",
 }
 
@@ -156,6 +158,7 @@ __all__ = [
     "sample",
     "save_nominal",
     "tabular",
+    "windows",
     "write_demonstrations",
 ]
 
