@@ -277,35 +277,67 @@ def demonstrate(
 
 @app.command
 def reproduce(
-    name: Literal["gridworld"],
+    name: Literal["gridworld", "human-walk"],
     /,
     *,
-    out: Path,
+    out: Path | None = None,
     data: Path | None = None,
     quick: bool = False,
+    as_json: AsJson = False,
 ) -> None:
     """Regenerate a published result: figures as PNG and SVG, the numbers in them as CSV.
 
     gridworld: false positives and KL divergence against the number of demonstrations (Scobee and
     Sastry, 2019), and what someone under no constraint enters; one to two minutes.
 
+    human-walk: the obstacle that people in a room walk around, from their tracks; five minutes, one
+    and a half with --quick. --data names a folder of tracks.csv, with columns t [s], track, x, y
+    [m], and room.png, in which free floor is light; room.json tells where the picture lies,
+    {"corner": [x, y], "cell": side of a pixel} [m], unless that is [-11, -10] and 0.01.
+
     Args:
       name: The result.
-      out: Folder to write into; files of the same names are replaced.
+      out: Folder to write into; files of the same names are replaced. human-walk does without.
       data: Golden output, a golden.json, to take demonstrations from and to compare with.
-        [default: demonstrations drawn in a world of Swerve's own]
-      quick: Fewer numbers of demonstrations.
+        [default: demonstrations drawn in a world of Swerve's own]; of human-walk, the folder.
+      quick: Fewer numbers of demonstrations; of human-walk, fewer values of beta.
+      as_json: Print one JSON object; human-walk alone.
     """
-    from swerve.reproduce import gridworld, gridworld_figures
     from swerve.store import check_writable
 
     if data is not None and not data.exists():
-        raise FileNotFoundError(f"--data {data}: no such file; check the path")
-    check_writable(out)
-    result = gridworld.reproduce(data, is_quick=quick, progress=True)
+        raise FileNotFoundError(f"--data {data}: no such file or folder; check the path")
+    if out is not None:
+        check_writable(out)
+    if name == "human-walk":
+        _reproduce_human_walk(data, out, quick, as_json)
+    elif out is None or as_json:
+        raise ValueError("gridworld: give --out, a folder for its figures and numbers, not --json")
+    else:
+        _reproduce_gridworld(data, out, quick)
+
+
+def _reproduce_gridworld(data: Path | None, out: Path, is_quick: bool) -> None:
+    from swerve.reproduce import gridworld, gridworld_figures
+
+    result = gridworld.reproduce(data, is_quick=is_quick, progress=True)
     written = gridworld_figures.write(result, out)
     print(gridworld_figures.table(result))
     _say(f"wrote {', '.join(path.name for path in written)} to {out}")
+
+
+def _reproduce_human_walk(
+    data: Path | None, out: Path | None, is_quick: bool, as_json: bool
+) -> None:
+    from swerve.reproduce import human_walk, human_walk_figures
+
+    if data is None or not data.is_dir():
+        raise ValueError(f"--data {data}: expected a folder of tracks.csv and room.png")
+    result = human_walk.reproduce(data, is_quick=is_quick, progress=True)
+    print(json.dumps(human_walk.to_json(result)) if as_json else human_walk_figures.table(result))
+    if out is not None:
+        written = human_walk_figures.write(result, out)
+        _say(f"wrote {', '.join(path.name for path in written)} to {out}")
 
 
 @app.command

@@ -7,14 +7,11 @@ Shapes: K thresholds, E sets of demonstrations, L sizes, H hypotheses, R rectang
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
@@ -23,15 +20,13 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
-from swerve import store
 from swerve.figures import FAINT, INK
 from swerve.plots import COLOURS
+from swerve.reproduce import files
+from swerve.reproduce.files import SIZE, SMALL, column
 from swerve.reproduce.gridworld import Curves, Result, labels
 from swerve.systems.gridworld import MOVES, Gridworld
-from swerve.tables import csv_text
 
-WIDTH = 3.5  # in, a column of a paper
-SIZE, SMALL = 8.0, 7.0  # pt
 STYLES = (
     {"color": COLOURS(1.0), "ls": "-", "marker": "o", "ms": 3.0},
     {"color": COLOURS(0.62), "ls": "--", "marker": "s", "ms": 2.8},
@@ -58,26 +53,13 @@ def write(result: Result, folder: Path) -> list[Path]:
     Raises:
       OSError: if one cannot be written; files are replaced when complete.
     """
-    written = []
-    for name, figure, rows in (
-        ("gridworld_curves", draw_curves(result), curve_rows(result)),
-        ("gridworld_violations", draw_violations(result), violation_rows(result)),
-    ):
-        path = folder / name
-        store.write_text(path.with_suffix(".csv"), csv_text(rows))
-        store.write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))
-        store.write_bytes(path.with_suffix(".png"), _rendered(figure, "png"))
-        written += [path.with_suffix(suffix) for suffix in (".png", ".svg", ".csv")]
-    return written
-
-
-def _rendered(figure: Figure, form: str) -> bytes:
-    """Return a picture whose bytes depend on nothing but what it shows."""
-    buffer = io.BytesIO()
-    metadata = {"Date": None} if form == "svg" else None
-    with mpl.rc_context({"svg.hashsalt": "swerve"}):
-        figure.savefig(buffer, format=form, dpi=300, metadata=metadata)
-    return buffer.getvalue()
+    return files.write(
+        folder,
+        [
+            ("gridworld_curves", draw_curves(result), curve_rows(result)),
+            ("gridworld_violations", draw_violations(result), violation_rows(result)),
+        ],
+    )
 
 
 def sources(result: Result) -> list[tuple[str, Curves, int]]:
@@ -148,7 +130,7 @@ def table(result: Result) -> str:
 
 def draw_curves(result: Result) -> Figure:
     """Draw the rate of false positives and the KL against the number of demonstrations."""
-    figure = _figure(4.6)
+    figure = column(4.6)
     upper, lower = figure.subplots(2, sharex=True)
     for name, curves, k in sources(result):
         for axes, values in ((upper, curves.false_rate[k]), (lower, curves.kl[k])):
@@ -194,7 +176,7 @@ def draw_curves(result: Result) -> Figure:
 
 def draw_violations(result: Result) -> Figure:
     """Draw how probably someone under no constraint enters each cell, move and feature."""
-    figure, mdp = _figure(5.75), _mdp(result)
+    figure, mdp = column(5.75), _mdp(result)
     num_bars = len(result.violation) - mdp.num_states
     cells, bars = figure.subplots(2, height_ratios=[mdp.height, 0.4 * num_bars])
     _draw_cells(cells, result, mdp)
@@ -271,12 +253,6 @@ def _outline(axes: Axes, cells: np.ndarray) -> None:
     axes.add_collection(lines, autolim=False)
     region = Outline.make_compound_path(*(Outline(square, closed=True) for square in squares))
     lines.set_clip_path(region, axes.transData)
-
-
-def _figure(height: float) -> Figure:
-    figure = Figure((WIDTH, height), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _mdp(result: Result) -> Gridworld:

@@ -39,7 +39,7 @@ MOST_WINDING = 1.6  # its length, in units of that distance
 LIGHT = 0.5  # of white: floor
 FEWEST = 2  # tracks
 BODY = 0.2  # m, between walls and the middle of a person
-REASONS = ("shorter than 3 m", "winding", "less than 0.2 m from walls")
+REASONS: tuple[str, ...] = ("shorter than 3 m", "winding", "less than 0.2 m from walls")
 
 
 class Room(NamedTuple):

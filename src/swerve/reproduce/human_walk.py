@@ -4,75 +4,40 @@ People are taken to follow soft shortest paths over the floor (`Walker`): walls 
 else is. Hypothesised are all squares of 0.75 m that overlap by three quarters and have some floor
 in them; a track says nothing of those within 0.75 m of its own ends. Answers are exact.
 
-beta is chosen by cross-validation. Squares that one track enters are free, and so no constraint
-there moves the others: beta is that under which each track does enter, or does not, the squares
-that another one has entered most probably,
+How beta is chosen is told in `human_beta`.
 
-    sum_i mean_c log p_i(c),   p_i(c) = 1 - Z_c/Z_0 if track i enters c, Z_c/Z_0 if not,
-
-i over tracks, c over the squares that count for i and that a track other than i enters. What a path
-looks like from step to step does not come into it: people's are smoother than those of a lattice,
-and by their lengths beta would be at the boundary.
-
-Shapes: D tracks, H hypotheses, L betas, N numbers of tracks, R random subsets, P picks.
+Shapes: D tracks, H hypotheses, N numbers of tracks, R random subsets, P picks.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swerve.hypotheses import HypothesisSet, windows
 from swerve.inference import Inference, infer
+from swerve.occupancy import Occupancy
 from swerve.posterior import NONE, posterior
 from swerve.problem import Problem
 from swerve.progress import progress_bar
+from swerve.reproduce.human_beta import CLEARANCE, FIRST, RULE, Beta, choose_beta, ladder
 from swerve.reproduce.human_tracks import Room, Tracks, read_room, read_tracks
 from swerve.sampling import sample
 from swerve.selection import Pick, greedy
 from swerve.solvers.soft_paths import PathNominal, SoftPaths
 from swerve.space import Task
 from swerve.systems.walker import Walker
+from swerve.windows import WindowHypotheses, windows
 
 WIDTH, OVERLAP = 0.75, 4  # m, of a square; squares that lie over each point along an axis
-CLEARANCE = 0.75  # m, between the ends of a track and the squares that it tells of
 MARGIN = 3  # cells of the lattice around the floor, more than the longest step
 NUM_PICKS = 3
-FIRST, RATIO, LAST = 1.02, 1.05, 3.0  # betas that are tried, in units of the least
-QUICK_RATIO, QUICK_LAST = 1.1, 2.0
-UNLIKELY = 1e-6  # the least probability that a track is charged for
-NUM_RESAMPLED = 1000  # sets of tracks, for the interval of beta
 NUM_SUBSETS = 300
 SIZES = (1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)  # of subsets
 INTERVAL = (5.0, 95.0)  # percentiles
-RULE = "cross-validated likelihood of which squares that another track has entered a track enters"
-
-
-class Beta(NamedTuple):
-    """How beta was chosen.
-
-    Attributes:
-      value: the beta [nats/m].
-      interval: where it lies for 95 % of sets of tracks drawn anew from these.
-      least: above which pi_0 exists.
-      tried: [L] betas.
-      score: [L, D] mean log-probability of what each track enters, nats a square.
-    """
-
-    value: float
-    interval: tuple[float, float]
-    least: float
-    tried: np.ndarray
-    score: np.ndarray
-
-    @property
-    def at_boundary(self) -> bool:
-        """Whether one of the outermost betas that were tried is the best."""
-        return self.value in (self.tried[0], self.tried[-1])
 
 
 class Answer(NamedTuple):
@@ -148,17 +113,34 @@ def reproduce(
     tracks = read_tracks(data, room)
     nominal = SoftPaths().learn(problem_of(room))
     generator = np.random.default_rng(seed)
-    ratio, last = (QUICK_RATIO, QUICK_LAST) if is_quick else (RATIO, LAST)
     least = _walker(room).least_beta
-    tried = least * FIRST * ratio ** np.arange(1 + math.log(last / FIRST) / math.log(ratio))
-    with progress_bar("walking", len(tried) + 15.0, progress) as advance:
-        beta = choose_beta(nominal, tracks, tried, generator, lambda: advance(1.0, "choosing beta"))
+    tried = ladder(least, is_quick)
+    with progress_bar("walking", 2.0 * len(tried) + 20.0, progress) as advance:
+        beta = _beta(nominal, tracks, tried, generator, lambda num: advance(num, "choosing beta"))
         answers = []
         for value in (max(0.5 * beta.value, FIRST * least), beta.value, 2.0 * beta.value):
             answers.append(answer_at(nominal.at_beta(value), tracks))
             advance(5.0, "inferring")
     belief = belief_of(answers[1], generator)
     return Result(room, tracks, beta, answers[1], answers, belief)
+
+
+def _beta(
+    nominal: PathNominal,
+    tracks: Tracks,
+    tried: np.ndarray,
+    generator: np.random.Generator,
+    advance: Callable[[float], None],
+) -> Beta:
+    """Choose beta, and again with the first pick in force if one constraint is likely."""
+
+    def choose(avoiding: int | None) -> Beta:
+        return choose_beta(nominal, tracks, tried, generator, avoiding, lambda: advance(1.0))
+
+    beta = choose(None)
+    picks = answer_at(nominal.at_beta(beta.value), tracks, most=1).picks
+    advance(5.0)
+    return choose(picks[0].hypothesis) if picks and picks[0].log_odds > 0.0 else beta
 
 
 def problem_of(room: Room, beta: float | None = None) -> Problem:
@@ -185,58 +167,26 @@ def _walker(room: Room) -> Walker:
     return Walker(bounds=(x, y))
 
 
-def squares(hypotheses: HypothesisSet) -> np.ndarray:
-    """Return (x low, x high, y low, y high) [H, 4] of each hypothesis [m]."""
-    boxes = [hypotheses.constraint(index).intervals for index in range(len(hypotheses))]
-    return np.array([(*box["x"], *box["y"]) for box in boxes])
+def squares(hypotheses: Any) -> np.ndarray:
+    """Return (x low, x high, y low, y high) [H, 4] of each window [m]."""
+    assert isinstance(hypotheses, WindowHypotheses)
+    (x_low, x_high), (y_low, y_high) = (hypotheses.edges()[name] for name in ("x", "y"))
+    x, y = np.meshgrid(np.arange(len(x_low)), np.arange(len(y_low)), indexing="ij")
+    sides = (x_low[x], x_high[x], y_low[y], y_high[y])
+    return np.stack([side.ravel() for side in sides], axis=1)
 
 
-def choose_beta(
-    nominal: PathNominal,
-    tracks: Tracks,
-    tried: np.ndarray,
-    generator: np.random.Generator,
-    advance: Any = lambda: None,
-) -> Beta:
-    """Choose beta as the module says, among some."""
-    demonstrations = tracks.used
-    tasks = Task.stack([item.task for item in demonstrations])
-    start = infer(sample(nominal, tasks), demonstrations, clearance=CLEARANCE)
-    entered = start.entered & start.is_counted[start.task_of]
-    others = entered.sum(axis=0) - entered > 0
-    counts = others & start.is_counted[start.task_of]
-    score = []
-    for beta in tried:
-        avoid = np.clip(np.exp(nominal.at_beta(float(beta)).log_ratio(tasks)), 0.0, 1.0)
-        probability = np.maximum(np.where(entered, 1.0 - avoid, avoid), UNLIKELY)
-        total = np.where(counts, np.log(probability), 0.0).sum(axis=1)
-        score.append(total / np.maximum(counts.sum(axis=1), 1))
-        advance()
-    score = np.array(score)
-    num = len(demonstrations)
-    weights = generator.multinomial(num, np.full(num, 1.0 / num), NUM_RESAMPLED)
-    found = tried[(score @ weights.T).argmax(axis=0)]
-    low, high = np.percentile(found, (2.5, 97.5)).tolist()
-    best = float(tried[score.sum(axis=1).argmax()])
-    return Beta(best, (low, high), _walker_of(nominal).least_beta, tried, score)
-
-
-def _walker_of(nominal: PathNominal) -> Walker:
-    walker = nominal.problem.mdp
-    assert isinstance(walker, Walker)
-    return walker
-
-
-def answer_at(nominal: PathNominal, tracks: Tracks) -> Answer:
+def answer_at(nominal: PathNominal, tracks: Tracks, most: int = NUM_PICKS) -> Answer:
     """Infer from all tracks at the beta of a nominal distribution."""
     demonstrations = tracks.used
     tasks = Task.stack([item.task for item in demonstrations])
     evidence = sample(nominal, tasks)
-    hypotheses, room = evidence.problem.hypotheses, evidence.problem.known[0]
+    hypotheses, walls = evidence.problem.hypotheses, evidence.problem.known[0]
+    assert isinstance(walls, Occupancy)
     inference = infer(
-        evidence, demonstrations, clearance=CLEARANCE, prior=floor_prior(hypotheses, room)
+        evidence, demonstrations, clearance=CLEARANCE, prior=floor_prior(hypotheses, walls)
     )
-    picks = greedy(inference, nominal, threshold=0.0, most=NUM_PICKS)
+    picks = greedy(inference, nominal, threshold=0.0, most=most)
     log_partition = [evidence.log_partition, *(pick.log_partition for pick in picks)]
     gains = -np.diff(np.array(log_partition), axis=0)[:, inference.task_of]
     elsewhere = None
@@ -254,7 +204,7 @@ def overlapping(found: np.ndarray, index: int) -> np.ndarray:
     return (x_low < x[1]) & (x_high > x[0]) & (y_low < y[1]) & (y_high > y[0])
 
 
-def floor_prior(hypotheses: HypothesisSet, room: Any) -> np.ndarray:
+def floor_prior(hypotheses: Any, room: Occupancy) -> np.ndarray:
     """Return the prior [H + 1]: half of it for no constraint, the rest for squares with floor."""
     free = np.pad(np.cumsum(np.cumsum(~room.blocked, axis=0), axis=1), ((1, 0), (1, 0)))
     edges = squares(hypotheses).reshape(-1, 2, 2)  # of x and of y

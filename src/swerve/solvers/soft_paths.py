@@ -130,13 +130,13 @@ class PathNominal:
         advance(1.0)
         return ExactAnswer(float(np.log(values[start])), log_ratio, drawn)
 
-    def log_ratio(self, tasks: Task) -> np.ndarray:
-        """Return log Z_c / Z_0 [K, H] of tasks, starts [K, n] and goals [K, g], nats."""
-        walks, rows = self._walks(()), []
+    def log_ratio(self, tasks: Task, avoiding: Sequence[int] = ()) -> np.ndarray:
+        """Return log P(avoid c | avoid C) [K, H] of tasks, starts [K, n] and goals [K, g], nats."""
+        walks, rows = self._walks(avoiding), []
         for place in zip(*tasks, strict=True):
             task = Task(*place)
             rows.append(self._log_ratio(task, walks, self._start(task), self._ends(task)))
-        return np.array(rows)
+        return np.array(rows).reshape(-1, len(self.problem.hypotheses))
 
     def _log_ratio(self, task: Task, walks: Walks, start: int, ends: Ends) -> np.ndarray:
         total = walks.values(ends)[start]

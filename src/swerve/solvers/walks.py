@@ -210,15 +210,16 @@ class Walks:
             return 0.0
         is_end = np.isin(np.arange(size), ends.states)
         weight[is_end[self.steps.source]] = 0.0
-        matrix = self._matrix(weight)
+        matrix: Any = self._matrix(weight)
         matrix.eliminate_zeros()
         reaching = _reaching(matrix, ends.states)
         if start not in reaching:
             return 0.0
         own = np.zeros(size)
         own[ends.states] = ends.weight
-        system = scipy.sparse.identity(len(reaching)) - matrix[reaching][:, reaching]
-        values = scipy.sparse.linalg.spsolve(system.tocsc(), own[reaching])
+        one: Any = scipy.sparse.identity(len(reaching), format="csc")
+        system = one - matrix[reaching][:, reaching]
+        values = scipy.sparse.linalg.spsolve(system, own[reaching])
         return float(values[np.searchsorted(reaching, start)])
 
     def _matrix(self, weight: np.ndarray) -> Any:
