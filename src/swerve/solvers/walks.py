@@ -219,7 +219,7 @@ class Walks:
         own[ends.states] = ends.weight
         one: Any = scipy.sparse.identity(len(reaching), format="csc")
         system = one - matrix[reaching][:, reaching]
-        values = scipy.sparse.linalg.spsolve(system, own[reaching])
+        values: Any = scipy.sparse.linalg.spsolve(system, own[reaching])
         return float(values[np.searchsorted(reaching, start)])
 
     def _matrix(self, weight: np.ndarray) -> Any:
