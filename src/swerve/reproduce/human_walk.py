@@ -135,12 +135,17 @@ def _beta(
     """Choose beta, and again with the first pick in force if one constraint is likely."""
 
     def choose(avoiding: int | None) -> Beta:
-        return choose_beta(nominal, tracks, tried, generator, avoiding, lambda: advance(1.0))
+        beta = choose_beta(nominal, tracks, tried, generator, avoiding, lambda: advance(1.0))
+        advance(float(len(tried) - len(beta.tried)))
+        return beta
 
     beta = choose(None)
     picks = answer_at(nominal.at_beta(beta.value), tracks, most=1).picks
     advance(5.0)
-    return choose(picks[0].hypothesis) if picks and picks[0].log_odds > 0.0 else beta
+    if picks and picks[0].log_odds > 0.0:
+        return choose(picks[0].hypothesis)
+    advance(float(len(tried)))
+    return beta
 
 
 def problem_of(room: Room, beta: float | None = None) -> Problem:
