@@ -15,12 +15,14 @@ import pytest
 from command import Run
 from matplotlib.image import imread, imsave
 
+from swerve.occupancy import Occupancy
 from swerve.posterior import posterior
 from swerve.reproduce import human_beta, human_walk, human_walk_figures
 from swerve.reproduce.human_tracks import read_room, read_tracks
 from swerve.reproduce.human_walk import Result
 from swerve.solvers.soft_paths import SoftPaths
 from swerve.space import Task
+from swerve.windows import windows
 
 SIDE, CELL, CORNER = 6.0, 0.05, (-1.0, 2.0)  # m
 BETA = 11.0
@@ -109,6 +111,26 @@ def test_a_planted_obstacle_is_found(planted: Result) -> None:
     assert np.abs(np.subtract(picked[1], picked[0])).max() > 0.3  # not its neighbour again
     assert planted.beta.interval[0] <= planted.beta.value <= planted.beta.interval[1]
     assert 0.8 * BETA < planted.beta.value < 1.25 * BETA
+
+
+def test_squares_without_floor_are_no_hypotheses() -> None:
+    blocked = np.random.default_rng(0).random((24, 40)) < 0.9
+    room = Occupancy("walls", blocked, (1.0, -2.0), 0.25)
+    places = windows(x=(0.0, 12.0, 0.75), y=(-3.0, 6.0, 0.75), overlap=4)
+    prior = human_walk.floor_prior(places, room)
+    assert prior[0] == 0.5
+    assert prior.sum() == pytest.approx(1.0)
+    rows, columns = np.nonzero(~blocked)
+    x, y = 1.0 + 0.25 * (columns + 0.5), -2.0 + 0.25 * (rows + 0.5)  # middles of free cells
+    found = human_walk.squares(places)
+    for index in range(0, len(places), 37):
+        x_low, x_high, y_low, y_high = found[index]
+        reach = 0.25 / 2 + 1e-9  # a side between two middles is rounded either way
+        outer = (x > x_low - reach) & (x < x_high + reach) & (y > y_low - reach)
+        inner = (x > x_low + reach) & (x < x_high - reach) & (y > y_low + reach)
+        assert prior[1 + index] == 0.0 or (outer & (y < y_high + reach)).any()
+        assert prior[1 + index] > 0.0 or not (inner & (y < y_high - reach)).any()
+    assert 0.2 < (prior[1:] > 0.0).mean() < 0.8
 
 
 def test_gains_add_up(planted: Result) -> None:

@@ -214,7 +214,8 @@ def floor_prior(hypotheses: Any, room: Occupancy) -> np.ndarray:
     free = np.pad(np.cumsum(np.cumsum(~room.blocked, axis=0), axis=1), ((1, 0), (1, 0)))
     edges = squares(hypotheses).reshape(-1, 2, 2)  # of x and of y
     places = np.round((edges - np.array(room.corner)[:, None]) / room.cell).astype(int)
-    (left, right), (low, high) = np.clip(places, 0, np.array(room.blocked.shape[::-1])[:, None]).T
+    limits = np.array(room.blocked.shape[::-1])[:, None]
+    (left, right), (low, high) = np.clip(places, 0, limits).transpose(1, 2, 0)
     has_floor = free[high, right] - free[low, right] - free[high, left] + free[low, left] > 0
     return np.concatenate([[NONE], (1.0 - NONE) * has_floor / has_floor.sum()])
 
