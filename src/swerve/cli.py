@@ -290,8 +290,8 @@ def reproduce(
     gridworld: false positives and KL divergence against the number of demonstrations (Scobee and
     Sastry, 2019), and what someone under no constraint enters; one to two minutes.
 
-    human-walk: the obstacle that people in a room walk around, from their tracks; five minutes, one
-    and a half with --quick. --data names a folder of tracks.csv, with columns t [s], track, x, y
+    human-walk: the obstacle that people in a room walk around, from their tracks; two to three
+    minutes. --data names a folder of tracks.csv, with columns t [s], track, x, y
     [m], and room.png, in which free floor is light; room.json tells where the picture lies,
     {"corner": [x, y], "cell": side of a pixel} [m], unless that is [-11, -10] and 0.01.
 
@@ -300,7 +300,7 @@ def reproduce(
       out: Folder to write into; files of the same names are replaced. human-walk does without.
       data: Golden output, a golden.json, to take demonstrations from and to compare with.
         [default: demonstrations drawn in a world of Swerve's own]; of human-walk, the folder.
-      quick: Fewer numbers of demonstrations; of human-walk, fewer values of beta.
+      quick: Fewer numbers of demonstrations; of human-walk, wider steps of beta.
       as_json: Print one JSON object; human-walk alone.
     """
     from swerve.store import check_writable
