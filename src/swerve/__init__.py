@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from swerve.inference import Inference, infer
     from swerve.mdp import MDP, rk4
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
+    from swerve.pairs import Pair, best_pair
     from swerve.problem import Problem
     from swerve.resolving import resolve
     from swerve.rewards import divergence
@@ -66,6 +67,7 @@ _HOMES = {
     "MDP": "mdp",
     "Nominal": "nominal",
     "PPO": "solvers.ppo",
+    "Pair": "pairs",
     "Pick": "selection",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
@@ -76,6 +78,7 @@ _HOMES = {
     "TabularMDP": "systems.tabular",
     "Task": "space",
     "Union": "constraints",
+    "best_pair": "pairs",
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "rewards",
     "fit_beta": "temperature",
@@ -116,6 +119,7 @@ __all__ = [
     "HypothesisSet",
     "Inference",
     "Nominal",
+    "Pair",
     "Pendulum",
     "Pick",
     "Predicate",
@@ -126,6 +130,7 @@ __all__ = [
     "TabularMDP",
     "Task",
     "Union",
+    "best_pair",
     "demonstrate",
     "divergence",
     "fit_beta",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from swerve.evidence import Evidence
     from swerve.inference import Inference
+    from swerve.selection import Pick
     from swerve.space import Task
     from swerve.work import Work
 
@@ -84,6 +85,7 @@ def infer(
     work: WorkFolder = None,
     report: Path | None = None,
     no_resolve: bool = False,
+    greedy: int | None = None,
     as_json: AsJson = False,
 ) -> None:
     """Rank the hypotheses of a problem by how well they explain demonstrations.
@@ -97,6 +99,8 @@ def infer(
       report: HTML page to write, with the picture, the ranking and the diagnostics.
       no_resolve: Leave the score of what next to no trajectory avoids at what the samples tell, a
         lower bound, instead of working out what avoiding it takes, which may need minutes.
+      greedy: Pick up to this many constraints as well, one after another, each for what those
+        before it leave to be explained.
     """
     from swerve.inference import infer as infer_constraints
 
@@ -111,7 +115,8 @@ def infer(
     result = infer_constraints(evidence, found, score=score)
     if not no_resolve:
         result = infer_constraints(job.resolved(result), found, score=score)
-    _show(result, report, as_json)
+    picks = None if greedy is None else _picks(job, result, greedy)
+    _show(result, picks, report, as_json)
 
 
 @app.command
@@ -375,17 +380,30 @@ def _only(evidence: Evidence, tasks: Task) -> Evidence:
     return evidence.select(sorted(indices))
 
 
-def _show(result: Inference, report: Path | None, as_json: bool) -> None:
-    """Print a result, and write its report if one is asked for."""
+def _picks(job: Work, result: Inference, most: int) -> list[Pick]:
+    """Return what greedy selection picks from a result."""
+    from swerve.selection import greedy
+
+    nominal: Any = job.nominal() if result.evidence.is_exact else None
+    return greedy(result, nominal, most=most)
+
+
+def _show(result: Inference, picks: list[Pick] | None, report: Path | None, as_json: bool) -> None:
+    """Print a result and what was picked, and write its report if one is asked for."""
+    from swerve import listing
+
     for warning in result.warnings:
         _say(f"warning: {warning}")
     if as_json:
-        print(json.dumps(result.to_json()))
+        picked = {} if picks is None else {"greedy": listing.picks_to_json(result, picks)}
+        print(json.dumps(result.to_json() | picked))
     else:
         print(result.evidence.problem.summary)
         print(result.headline)
         print(result.belief)
         print(result.table())
+        if picks is not None:
+            print(listing.picks_table(result, picks))
         print(result.verdicts())
     if report is not None:
         result.report(report)
