@@ -17,7 +17,7 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import report
+from swerve import report, wording
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
@@ -205,7 +205,11 @@ class TestRanking:
                 result.log_likelihood[index], abs=6e-4
             )
             assert float(row[4]) == pytest.approx(result.standard_error[index], abs=6e-4)
-            assert float(row[5]) == pytest.approx(result.average_violation[index], abs=6e-5)
+            found = result.posterior
+            assert row[5] == wording.probability(
+                float(found.hypotheses[index]), float(found.error[index])
+            )
+            assert float(row[6]) == pytest.approx(result.average_violation[index], abs=6e-5)
         assert f"{len(rows)} cells left, {result.struck_out.sum()} struck out" in parsed.words
 
     def test_marks_ties_and_lower_bounds(self) -> None:

@@ -81,7 +81,7 @@ def test_one_in_hundred_thousands_is_told_within_a_fifth(solver: Grid | SoftValu
     before = infer(evidence, [demonstration])
     assert before.is_open[0, RARE]
     assert before.is_lower_bound[RARE]
-    after = infer(resolve(nominal, evidence, [demonstration]), [demonstration])
+    after = infer(resolve(nominal, infer(evidence, [demonstration])), [demonstration])
     assert not after.is_lower_bound[RARE]
     assert after.evidence.log_ratio[0, RARE] == pytest.approx(truth, abs=math.log(1.2))
     assert after.evidence.standard_error[0, RARE] < 0.09
@@ -124,7 +124,7 @@ class TestFew:
         before = infer(lone, made)
         assert not before.is_lower_bound[RARE]
         assert before.is_open[0, RARE]
-        resolved = resolve(nominal, lone, made)
+        resolved = resolve(nominal, infer(lone, made))
         truth = exact_log_ratio(rare_cart, RARE)
         assert resolved.log_ratio[0, RARE] == pytest.approx(truth, abs=math.log(1.2))
         assert not infer(resolved, made).is_open.any()
@@ -134,7 +134,7 @@ class TestFew:
     ) -> None:
         three = with_few_that_avoid(evidence, 3)
         assert infer(three, made).is_open[0, RARE]
-        resolved = resolve(nominal, three, made)
+        resolved = resolve(nominal, infer(three, made))
         result = infer(resolved, made)
         assert result.log_likelihood[RARE] == pytest.approx(-math.log(3.0 * evidence.resolution[0]))
         assert not result.is_open.any()
@@ -178,7 +178,7 @@ def test_a_task_where_nothing_is_left_does_not_spoil_another() -> None:
     is_open = infer(evidence).is_open[:, 0]
     assert is_open[0]
     assert is_open[1]
-    resolved = resolve(nominal, evidence, [])
+    resolved = resolve(nominal, infer(evidence, []))
     assert resolved.is_resolved[:, 0].tolist() == [False, True]
     narrower = dataclasses.replace(problem, known=[problem.hypotheses.constraint(0)])
     truth = enumerate_exactly(narrower, *away).log_partition
@@ -190,7 +190,7 @@ def test_what_was_resolved_is_kept(tmp_path: Path) -> None:
     problem = rare_cart
     demonstration = round_about(problem, RARE)
     nominal = learn(problem, "grid?num_points=61")
-    evidence = resolve(nominal, sample(nominal, CART_TASK, 500), [demonstration])
+    evidence = resolve(nominal, infer(sample(nominal, CART_TASK, 500), [demonstration]))
     assert evidence.is_resolved[0, RARE]
     evidence.save(tmp_path / "evidence")
     again = Evidence.load(tmp_path / "evidence")
@@ -238,7 +238,7 @@ def test_a_bound_remains_where_nothing_avoids_it() -> None:
     evidence = sample(nominal, CART_TASK, 500)
     inference = infer(evidence)
     assert inference.is_open[0, 0]
-    resolved = resolve(nominal, evidence, [])
+    resolved = resolve(nominal, infer(evidence, []))
     assert not resolved.is_resolved[0, 0]
     assert resolved.log_ratio[0, 0] == evidence.log_ratio[0, 0]
     assert not infer(resolved).is_open.any()  # tried once is enough
@@ -252,7 +252,7 @@ def test_what_cannot_be_done_is_said() -> None:
     nominal = learn(problem, "enumeration")
     evidence = sample(nominal, CART_TASK)
     with pytest.raises(ValueError, match=r"soft value that adapts \(grid, soft-value\), got 'enum"):
-        resolve(nominal, evidence, [])
+        resolve(nominal, infer(evidence, []))
     other = learn(short_cart(beta=1.0), "grid?num_points=61")
     with pytest.raises(ValueError, match="the evidence is of another problem"):
-        resolve(other, evidence, [])
+        resolve(other, infer(evidence, []))

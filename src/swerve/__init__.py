@@ -9,6 +9,7 @@ stored evidence never imports JAX.
 TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 
 if TYPE_CHECKING:
+    from swerve.belief_plots import plot_contributions
     from swerve.boxes import ActionBox, Box
     from swerve.constraints import Constraint, Predicate, Union
     from swerve.demonstrations import (
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.temperature import BetaFit, fit_beta
+    from swerve.windows import windows
 
 __version__ = "0.1.0"
 
@@ -92,11 +94,13 @@ _HOMES = {
     "load_problem": "specification",
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
+    "plot_contributions": "belief_plots",
     "rk4": "mdp",
     "resolve": "resolving",
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
+    "windows": "windows",
     "write_demonstrations": "demonstrations",
 }
 
@@ -142,6 +146,7 @@ __all__ = [
     "learn",
     "load_nominal",
     "load_problem",
+    "plot_contributions",
     "read_demonstrations",
     "read_tasks",
     "resolve",
@@ -149,6 +154,7 @@ __all__ = [
     "sample",
     "save_nominal",
     "tabular",
+    "windows",
     "write_demonstrations",
 ]
 

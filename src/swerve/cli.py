@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -84,6 +85,10 @@ def infer(
     seed: Seed = None,
     work: WorkFolder = None,
     report: Path | None = None,
+    prior_none: float = 0.5,
+    tolerance: float = 0.0,
+    margin: Annotated[dict[str, float] | None, Parameter(negative=())] = None,
+    clearance: float | None = None,
     no_resolve: bool = False,
     greedy: int | None = None,
     as_json: AsJson = False,
@@ -97,6 +102,12 @@ def infer(
       demonstrations: CSV or Parquet files whose columns include the states' names.
       score: likelihood, or average: the paper's average violation probability.
       report: HTML page to write, with the picture, the ranking and the diagnostics.
+      prior_none: Probability of no constraint before the demonstrations; the hypotheses share the
+        rest.
+      tolerance: Probability with which a demonstration ignores the constraint.
+      margin: How deep inside a hypothesis a demonstration must be to have entered it, for states
+        measured with noise: --margin.x 0.05, in the state's unit.
+      clearance: Leave a hypothesis out for tasks that start or end within this distance of it.
       no_resolve: Leave the score of what next to no trajectory avoids at what the samples tell, a
         lower bound, instead of working out what avoiding it takes, which may need minutes.
       greedy: Pick up to this many constraints as well, one after another, each for what those
@@ -112,9 +123,18 @@ def infer(
     evidence = job.evidence(asked)
     if not found and asked is not None:
         evidence = _only(evidence, asked)
-    result = infer_constraints(evidence, found, score=score)
+    rank = partial(
+        infer_constraints,
+        demonstrations=found,
+        score=score,
+        prior=prior_none,
+        tolerance=tolerance,
+        margin=margin,
+        clearance=clearance,
+    )
+    result = rank(evidence)
     if not no_resolve:
-        result = infer_constraints(job.resolved(result), found, score=score)
+        result = rank(job.resolved(result))
     picks = None if greedy is None else _picks(job, result, greedy)
     _show(result, picks, report, as_json)
 

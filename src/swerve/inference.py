@@ -27,7 +27,7 @@ from swerve import likelihood, posterior
 from swerve.arguments import instance
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
-from swerve.hypotheses import HypothesisSet, unpack
+from swerve.hypotheses import HypothesisSet
 from swerve.judging import judge
 from swerve.posterior import CredibleSet, Posterior, Prior
 
@@ -307,12 +307,11 @@ class Inference:
         """
         if not demonstrations:
             return self
-        judged = [judge(item, self.evidence, self.judged) for item in demonstrations]
-        entered = unpack(np.stack([bits for _, bits in judged]), len(self.judged))
+        task_of, entered = judge(demonstrations, self.evidence, self.judged)
         return dataclasses.replace(
             self,
             demonstrations=(*self.demonstrations, *demonstrations),
-            task_of=np.concatenate([self.task_of, [task for task, _ in judged]]),
+            task_of=np.concatenate([self.task_of, task_of]),
             entered=np.concatenate([self.entered, entered]),
         )
 
@@ -383,7 +382,7 @@ def infer(
         is_counted=_is_counted(evidence, clearance),
         tolerance=likelihood.checked_tolerance(tolerance),
         prior=posterior.checked_prior(prior, len(hypotheses)),
-        judged=hypotheses if margin is None else hypotheses.eroded(margin),
+        judged=hypotheses if margin is None else hypotheses.eroded(margin, evidence.problem.space),
     )
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")

@@ -1,16 +1,18 @@
-"""Judging a demonstration: whether it fits the problem, which task it is of, what it enters.
+"""Judging demonstrations: whether they fit the problem, of which tasks they are, what they enter.
 
-Shapes: L states, n state dimensions, m action dimensions, B = ceil(H / 8) bytes.
+Shapes: D demonstrations, L states, n state dimensions, m action dimensions, H hypotheses.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
-from swerve.hypotheses import HypothesisSet
+from swerve.hypotheses import HypothesisSet, unpack
 from swerve.problem import ProblemRecord
 from swerve.space import Actions
 from swerve.state_checks import (
@@ -22,26 +24,40 @@ from swerve.state_checks import (
     row_namer,
 )
 
+AT_ONCE = 64  # demonstrations judged together
+
 
 def judge(
-    demonstration: Demonstration, evidence: Evidence, hypotheses: HypothesisSet
-) -> tuple[int, np.ndarray]:
-    """Check a demonstration; return its task in the evidence and packed bits [B] of what it enters.
+    demonstrations: Sequence[Demonstration], evidence: Evidence, hypotheses: HypothesisSet
+) -> tuple[np.ndarray, np.ndarray]:
+    """Check demonstrations; return their tasks in the evidence [D] and what they enter [D, H].
 
     Args:
-      demonstration: a finished one.
-      evidence: what it is held against.
-      hypotheses: what it may have entered: those of the problem, or what is left of them where
+      demonstrations: finished ones.
+      evidence: what they are held against.
+      hypotheses: what they may have entered: those of the problem, or what is left of them where
         measurement noise is allowed for.
 
     Raises:
-      ValueError: if it is none, does not fit the problem, or there is no evidence for its task.
+      ValueError: if one is none, does not fit the problem, or there is no evidence for its task.
     """
-    if not isinstance(demonstration, Demonstration):
-        raise ValueError(
-            f"expected a list of swerve.Demonstration, got a {type(demonstration).__name__} in it: "
-            "make one with swerve.Demonstration(name, states, task)"
-        )
+    for item in demonstrations:
+        if not isinstance(item, Demonstration):
+            raise ValueError(
+                f"expected a list of swerve.Demonstration, got a {type(item).__name__} in it: "
+                "make one with swerve.Demonstration(name, states, task)"
+            )
+    tasks = np.zeros(len(demonstrations), int)
+    entered = np.zeros((len(demonstrations), len(hypotheses)), bool)
+    for first in range(0, len(demonstrations), AT_ONCE):
+        block = demonstrations[first : first + AT_ONCE]
+        tasks[first : first + AT_ONCE] = [_checked(item, evidence) for item in block]
+        entered[first : first + AT_ONCE] = _entered(block, evidence.problem, hypotheses)
+    return tasks, entered
+
+
+def _checked(demonstration: Demonstration, evidence: Evidence) -> int:
+    """Return the task of a demonstration in the evidence, after checking that it fits."""
     problem, states = evidence.problem, demonstration.states
     check_states(states, demonstration.times, problem.space, demonstration.name)
     check_start(states[0], demonstration.task, problem.space, demonstration.name)
@@ -54,12 +70,26 @@ def judge(
         check_horizon(num_moves, problem.num_steps, demonstration.name)
     _check_known(demonstration, problem)
     _check_goal(demonstration, evidence)
-    task = evidence.match(demonstration.task, demonstration.name)
-    actions = _actions(demonstration, problem, problem.hypotheses.about_actions)
-    if actions is not None:
-        actions = actions._replace(values=actions.values[None])
-    bits = hypotheses.violations(states[None], problem.space, problem.between_states, actions)
-    return task, bits[0]
+    return evidence.match(demonstration.task, demonstration.name)
+
+
+def _entered(
+    demonstrations: Sequence[Demonstration], problem: ProblemRecord, hypotheses: HypothesisSet
+) -> np.ndarray:
+    """Return what demonstrations enter [D, H]; all are judged at once, resting after their end."""
+    longest = max(len(item.states) for item in demonstrations)
+    rows = [np.minimum(np.arange(longest), len(item.states) - 1) for item in demonstrations]
+    states = np.stack([item.states[row] for item, row in zip(demonstrations, rows, strict=True)])
+    actions = None
+    if hypotheses.about_actions:
+        values = np.full((len(states), longest - 1, len(problem.action_names)), np.nan)
+        for row, item in zip(values, demonstrations, strict=True):
+            taken = _actions(item, problem, needed=True)
+            assert taken is not None
+            row[: len(taken.values)] = taken.values
+        actions = Actions(problem.action_names, values)
+    bits = hypotheses.violations(states, problem.space, problem.between_states, actions)
+    return unpack(bits, len(hypotheses))
 
 
 def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:

@@ -167,16 +167,21 @@ def of_inference(inference: Inference) -> Posterior:
     Its errors come from leaving out one island of the samples after another, of all tasks at once;
     ratios worked out with the constraint in force, and bounds, have errors of their own.
     """
-    evidence, used = inference.evidence, inference.is_used
+    evidence = inference.evidence
+    tasks = np.flatnonzero(inference.task_counts)
     value = posterior(inference.log_likelihood, inference.prior)
-    has_own_error = (evidence.is_resolved | evidence.is_floored) & used
-    without = evidence.summary.avoid_without_island.swapaxes(0, 1).astype(float)
+    if evidence.is_exact:
+        return Posterior(float(value[0]), 0.0, value[1:], np.zeros(len(value) - 1))
+    used = inference.is_used[tasks]
+    has_own_error = (evidence.is_resolved | evidence.is_floored)[tasks] & used
+    without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
     from_islands = np.log(np.where(used & ~has_own_error & (without > 0.0), without, 1.0))
-    log_ratio = np.where(has_own_error, inference.finite_log_ratio, from_islands)
-    log_likelihood = likelihood.log_likelihood(log_ratio, inference.counts, inference.tolerance)
+    log_ratio = np.where(has_own_error, inference.finite_log_ratio[tasks], from_islands)
+    counts = likelihood.Counts(*(part[tasks] for part in inference.counts))
+    log_likelihood = likelihood.log_likelihood(log_ratio, counts, inference.tolerance)
     log_likelihood = np.where(inference.struck_out, -np.inf, log_likelihood)
     island_error = jackknife_error(posterior(log_likelihood, inference.prior))
-    own = np.where(has_own_error, inference.sensitivity * evidence.standard_error, 0.0)
+    own = inference.sensitivity[tasks] * evidence.standard_error[tasks] * has_own_error
     error = np.hypot(island_error, _propagated(value, (own**2).sum(axis=0)))
     return Posterior(float(value[0]), float(error[0]), value[1:], error[1:])
 

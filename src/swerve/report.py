@@ -91,6 +91,7 @@ def page(inference: Inference) -> str:
             '<p class="faint">Swerve: which constraint is this demonstrator obeying?</p>',
             f"<h1>{escape(wording.sentence(inference))}</h1>",
             _meaning(inference),
+            f"<p>{escape(wording.belief(inference))}</p>",
             _warnings(inference),
             _main_picture(inference),
             _ranking(inference),
@@ -181,20 +182,29 @@ def _ranking(inference: Inference) -> str:
     counts = f"{wording.counted(num_left, noun)} left, {num_struck_out:,} struck out."
     if not num_left:
         return f"<h2>Ranking</h2><p>{counts} There is nothing to rank.</p>"
-    floored = np.any(inference.evidence.is_floored[inference.task_counts > 0], axis=0).tolist()
+    posterior = inference.posterior
     rows = []
     for row, index in enumerate(inference.ranking[:MAX_HYPOTHESES].tolist()):
-        bound = "≥ " if floored[index] else ""
+        bound = "≥ " if inference.is_lower_bound[index] else ""
         cells = (
             wording.rank(inference, row),
             f"{index}",
             wording.cut(inference.hypothesis_name(index), MAX_NAME),
             f"{bound}{inference.log_likelihood[index]:.3f}",
             f"{inference.standard_error[index]:.3f}",
+            wording.probability(float(posterior.hypotheses[index]), float(posterior.error[index])),
             f"{inference.average_violation[index]:.4f}",
         )
         rows.append(("first" if inference.rank[row] == 1 else "", cells))
-    head = ("rank", noun, "region", "score [nats]", "standard error", "average violation")
+    head = (
+        "rank",
+        noun,
+        "region",
+        "score [nats]",
+        "standard error",
+        "posterior",
+        "average violation",
+    )
     picture = _picture(
         plots.plot_ranking(inference),
         plots.plot_ranking(inference, width=PHONE),

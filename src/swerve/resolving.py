@@ -17,15 +17,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from swerve.demonstrations import Demonstration
 from swerve.estimators import NothingLeftError
 from swerve.evidence import Evidence
-from swerve.inference import SETTLED, infer
+from swerve.inference import SETTLED, Inference
 from swerve.nominal import Nominal, Solver
 from swerve.problem import Problem
 from swerve.progress import progress_bar
@@ -48,25 +47,24 @@ class AdaptingSolver(Solver, Protocol):
 
 def resolve(
     nominal: Nominal,
-    evidence: Evidence,
-    demonstrations: Sequence[Demonstration],
+    inference: Inference,
     *,
     seed: int = 0,
     progress: bool = False,
     keep: Callable[[Evidence], None] = lambda evidence: None,
 ) -> Evidence:
-    """Work out the ratios that evidence leaves open, for hypotheses that matter to the ranking.
+    """Work out the ratios that evidence leaves open, for hypotheses that matter to a ranking.
 
     Args:
       nominal: what the evidence was sampled from.
-      evidence: in which next to no trajectory avoids some hypotheses.
-      demonstrations: whose ranking is wanted; hypotheses that one of them enters are left out.
+      inference: from evidence in which next to no trajectory avoids some hypotheses; those that it
+        strikes out are left out.
       seed: of everything random.
       progress: whether to show a progress bar.
       keep: called with what there is after each hypothesis, since all of them may take long.
 
     Returns:
-      The evidence with numbers worked out in place of bounds, and of what two or three trajectories
+      Its evidence with numbers worked out in place of bounds, and of what two or three trajectories
       say. These remain where even with c in force no trajectory avoids it, or it is not well enough
       known how many do: `log_ratio_error` of the summary is then infinite.
 
@@ -78,12 +76,13 @@ def resolve(
             "nominal: expected one of a solver with a soft value that adapts (grid, soft-value), "
             f"got {nominal.solver.name!r}"
         )
+    evidence = inference.evidence
     if nominal.problem.record.fingerprint != evidence.problem.fingerprint:
         raise ValueError(
             f"the evidence is of another problem, {evidence.problem.summary}, than the nominal, "
             f"{nominal.problem.record.summary}"
         )
-    is_open = infer(evidence, demonstrations).is_open
+    is_open = inference.is_open
     hypotheses = np.flatnonzero(is_open.any(axis=0)).tolist()
     with progress_bar("resolving", len(hypotheses), progress) as advance:
         for index in hypotheses:

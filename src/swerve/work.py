@@ -211,8 +211,7 @@ class Work:
         )
         return resolve(
             self.nominal(),
-            evidence,
-            inference.demonstrations,
+            inference,
             seed=self.settings.seed or 0,
             progress=self.progress,
             keep=lambda evidence: self._save([evidence]),
