@@ -117,6 +117,8 @@ def infer(
 
     if report is not None:
         _check_report(report)
+    if greedy is not None:
+        _check_greedy(greedy, demonstrations)
     job = _work(problem, work, solver, seed, method, samples)
     found = _read(job, demonstrations, tasks)
     asked = _asked_tasks(job, found, tasks)
@@ -398,6 +400,14 @@ def _only(evidence: Evidence, tasks: Task) -> Evidence:
     """Return the part of evidence that is about these tasks."""
     indices = {evidence.match(type(tasks)(*task)) for task in zip(*tasks, strict=True)}
     return evidence.select(sorted(indices))
+
+
+def _check_greedy(most: int, demonstrations: tuple[Path, ...]) -> None:
+    """Make sure that there is something to pick from before the work."""
+    if most < 1:
+        raise ValueError(f"--greedy: expected a number of picks >= 1, got {most}")
+    if not demonstrations:
+        raise ValueError("--greedy: constraints are picked from demonstrations: give at least one")
 
 
 def _picks(job: Work, result: Inference, most: int) -> list[Pick]:
