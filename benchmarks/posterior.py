@@ -109,7 +109,7 @@ def table(rows: list[dict[str, Any]]) -> Table:
 
 def draw_figure(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw the curves with their intervals."""
-    figure = Figure((6.0, 3.8), layout="constrained", facecolor="white")
+    figure = Figure((6.0, 4.2), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for name, (style, colour) in STYLES.items():
@@ -119,7 +119,7 @@ def draw_figure(rows: list[dict[str, Any]], path: Path) -> None:
         low, high = ([row[side] for row in mine] for side in ("low", "high"))
         axes.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
     axes.set(xlabel="demonstrations", ylabel="posterior probability", ylim=(-0.02, 1.02))
-    axes.legend(fontsize=8, frameon=False)
+    figure.legend(loc="outside upper left", fontsize=8, frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=200)
