@@ -210,10 +210,10 @@ class InForce:
 
     def gain_error(self, index: int, log_ratio: LogRatio) -> float:
         """Return the standard error of the gain of one more, given its log ratios [K], nats."""
-        num = self._counts.avoiding[:, index]
-        log_share = self._log_share + np.where(num > 0, log_ratio.value, 0.0)
-        slope = likelihood.sensitivity(log_share, self._inference.tolerance)
-        return float(np.linalg.norm((num * slope * log_ratio.standard_error)[num > 0]))
+        used = self._counts.avoiding[:, index] > 0  # elsewhere ratio and error may be infinite
+        num, log_share = self._counts.avoiding[used, index], self._log_share[used]
+        slope = likelihood.sensitivity(log_share + log_ratio.value[used], self._inference.tolerance)
+        return float(np.linalg.norm(num * slope * log_ratio.standard_error[used]))
 
     def near_best(self, total_gain: np.ndarray) -> np.ndarray:
         """Return the hypotheses [M] left that may be the best; none where none gains anything."""
