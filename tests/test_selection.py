@@ -11,11 +11,13 @@ from reference import CART_TASK, short_cart
 from synthetic import evidence_of_columns, make_demonstration
 
 from swerve import (
+    Box,
     Demonstration,
     Gridworld,
     Problem,
     Task,
     Union,
+    best_pair,
     divergence,
     greedy,
     grid,
@@ -92,6 +94,27 @@ def test_the_threshold_ends_it_and_its_pick_is_left_out(nominal: TableNominal) -
         pick.hypothesis for pick in every if pick.gain >= least
     ]
     assert len(greedy(shown, nominal, threshold=0.0, most=2)) == 2
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.1])
+def test_a_task_without_demonstrations_may_be_impossible(
+    nominal: TableNominal, tolerance: float
+) -> None:
+    """The other task starts where the first is kept from going: nobody there avoids the cell."""
+    alone = infer(sample(nominal, TASK), [ROUND], tolerance=tolerance)
+    expected = greedy(alone, nominal, threshold=0.01)
+    kept_out = [PROBLEM.hypotheses.constraint(pick.hypothesis) for pick in expected[:-1]]
+    cell = next(constraint for constraint in kept_out if isinstance(constraint, Box))
+    inside = np.array([np.mean(cell.intervals[name]) for name in ("x", "y")])
+    evidence = sample(nominal, [TASK, Task(inside, TASK.goal)])
+    both = infer(evidence, [ROUND], tolerance=tolerance)
+    assert evidence.log_ratio[1, expected[kept_out.index(cell)].hypothesis] == -np.inf
+    picks = greedy(both, nominal, threshold=0.01)
+    assert len(picks) >= 2
+    assert [p.hypothesis for p in picks] == [p.hypothesis for p in expected]
+    np.testing.assert_allclose([p.gain for p in picks], [p.gain for p in expected], atol=1e-12)
+    pair, same = best_pair(both, nominal), best_pair(alone, nominal)
+    assert pair.log_likelihood == pytest.approx(same.log_likelihood, abs=1e-12)
 
 
 def test_divergence_by_hand() -> None:

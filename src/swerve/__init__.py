@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from swerve.mdp import MDP, rk4
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.occupancy import Occupancy
+    from swerve.pairs import Pair, best_pair
     from swerve.problem import Problem
     from swerve.resolving import resolve
     from swerve.rewards import divergence
@@ -72,6 +73,7 @@ _HOMES = {
     "Nominal": "nominal",
     "Occupancy": "occupancy",
     "PPO": "solvers.ppo",
+    "Pair": "pairs",
     "Pick": "selection",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
@@ -84,6 +86,7 @@ _HOMES = {
     "Task": "space",
     "Union": "constraints",
     "Walker": "systems.walker",
+    "best_pair": "pairs",
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "rewards",
     "fit_beta": "temperature",
@@ -127,6 +130,7 @@ __all__ = [
     "Inference",
     "Nominal",
     "Occupancy",
+    "Pair",
     "Pendulum",
     "Pick",
     "Predicate",
@@ -139,6 +143,7 @@ __all__ = [
     "Task",
     "Union",
     "Walker",
+    "best_pair",
     "demonstrate",
     "divergence",
     "fit_beta",

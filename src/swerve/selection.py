@@ -168,8 +168,10 @@ class InForce:
 
     @property
     def _log_share(self) -> np.ndarray:
-        """[K] log Z_C / Z_0, nats."""
-        return self.log_partition - self._inference.evidence.log_partition
+        """[K] log Z_C / Z_0, nats; 0 where no demonstration avoids C: there it may be infinite."""
+        share = self.log_partition - self._inference.evidence.log_partition
+        task_of = self._inference.task_of[self._is_obeyed]
+        return np.where(np.bincount(task_of, minlength=len(share)) > 0, share, 0.0)
 
     def _counts_of_obeyed(self) -> likelihood.Counts:
         """Return the demonstrations that avoid and enter one more, of those that avoid C."""
@@ -194,8 +196,9 @@ class InForce:
         tolerance = self._inference.tolerance
         counts = self._counts_at(indices)
         before = likelihood.avoiding_term(self._log_share, tolerance)[:, None]
+        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # elsewhere it may be infinite
         after = likelihood.avoiding_term(self._log_share[:, None] + log_ratio, tolerance)
-        gain = np.where(counts.avoiding > 0, after - before, 0.0) * counts.avoiding
+        gain = counts.avoiding * (after - before)
         if tolerance > 0.0:
             gain = gain + counts.entering * (math.log(tolerance) - before)
         return gain.sum(axis=0)
@@ -207,9 +210,10 @@ class InForce:
 
     def gain_error(self, index: int, log_ratio: LogRatio) -> float:
         """Return the standard error of the gain of one more, given its log ratios [K], nats."""
-        slope = likelihood.sensitivity(self._log_share + log_ratio.value, self._inference.tolerance)
-        num = self._counts.avoiding[:, index]
-        return float(np.linalg.norm((num * slope * log_ratio.standard_error)[num > 0]))
+        used = self._counts.avoiding[:, index] > 0  # elsewhere ratio and error may be infinite
+        num, log_share = self._counts.avoiding[used, index], self._log_share[used]
+        slope = likelihood.sensitivity(log_share + log_ratio.value[used], self._inference.tolerance)
+        return float(np.linalg.norm(num * slope * log_ratio.standard_error[used]))
 
     def near_best(self, total_gain: np.ndarray) -> np.ndarray:
         """Return the hypotheses [M] left that may be the best; none where none gains anything."""
