@@ -305,7 +305,7 @@ def test_without_a_place_the_room_is_that_of_thor(tmp_path: Path) -> None:
 def test_the_command_says_what_is_missing(tmp_path: Path, run: Run) -> None:
     for arguments, message in (
         ((), "--data None: expected a folder of tracks.csv and room.png"),
-        (("--data", tmp_path / "nowhere"), "nowhere: no such file or folder"),
+        (("--data", tmp_path / "nowhere"), "nowhere: no such file; check the path"),
         (("--data", tmp_path), "room.png: no such file"),
     ):
         status, _, said = run("reproduce", "human-walk", *arguments)

@@ -313,7 +313,7 @@ def reproduce(
     from swerve.store import check_writable
 
     if data is not None and not data.exists():
-        raise FileNotFoundError(f"--data {data}: no such file or folder; check the path")
+        raise FileNotFoundError(f"--data {data}: no such file; check the path")
     if out is not None:
         check_writable(out)
     if name == "human-walk":
