@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from swerve.demonstrators.boltzmann import demonstrate
     from swerve.estimators import hoeffding_error, hoeffding_sample_size
     from swerve.evidence import Evidence
+    from swerve.foresight import Foresight
+    from swerve.foresight_training import Rollouts, foresee
     from swerve.hypotheses import HypothesisSet, grid
     from swerve.inference import Inference, infer
     from swerve.mdp import MDP, rk4
+    from swerve.monitor import Monitor
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.problem import Problem
     from swerve.resolving import resolve
@@ -59,17 +62,20 @@ _HOMES = {
     "DoublePendulum": "systems.double_pendulum",
     "Enumeration": "solvers.enumeration",
     "Evidence": "evidence",
+    "Foresight": "foresight",
     "Grid": "solvers.grid",
     "Gridworld": "systems.gridworld",
     "HypothesisSet": "hypotheses",
     "Inference": "inference",
     "MDP": "mdp",
+    "Monitor": "monitor",
     "Nominal": "nominal",
     "PPO": "solvers.ppo",
     "Pick": "selection",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
     "Problem": "problem",
+    "Rollouts": "foresight_training",
     "SoftValue": "solvers.soft_value",
     "StateSpace": "space",
     "Tabular": "solvers.tabular",
@@ -79,6 +85,7 @@ _HOMES = {
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "selection",
     "fit_beta": "temperature",
+    "foresee": "foresight_training",
     "greedy": "selection",
     "grid": "hypotheses",
     "hoeffding_error": "estimators",
@@ -112,15 +119,18 @@ __all__ = [
     "DoublePendulum",
     "Enumeration",
     "Evidence",
+    "Foresight",
     "Grid",
     "Gridworld",
     "HypothesisSet",
     "Inference",
+    "Monitor",
     "Nominal",
     "Pendulum",
     "Pick",
     "Predicate",
     "Problem",
+    "Rollouts",
     "SoftValue",
     "StateSpace",
     "Tabular",
@@ -130,6 +140,7 @@ __all__ = [
     "demonstrate",
     "divergence",
     "fit_beta",
+    "foresee",
     "greedy",
     "grid",
     "hoeffding_error",
