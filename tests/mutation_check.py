@@ -243,9 +243,30 @@ MUTANTS = (
     Mutant(
         "keep the pick that gains less than the threshold",
         "selection.py",
-        "        if gain < max(threshold, TIED):\n",
-        "        if picks and picks[-1].gain < max(threshold, TIED):\n",
+        "if pick is None or pick.gain < max(threshold, TIED):",
+        "if pick is None or (picks and picks[-1].gain < max(threshold, TIED)):",
         "test_selection",
+    ),
+    Mutant(
+        "take trajectories off again that are covered already",
+        "coverage.py",
+        "covered, self._rows = self._rows[enters], self._rows[~enters]",
+        "covered, self._rows = self._rows[enters], self._rows",
+        "test_greedy",
+    ),
+    Mutant(
+        "let a demonstration that ignores one pick count for the next",
+        "selection.py",
+        "self._is_obeyed &= ~enters",
+        "self._is_obeyed &= True",
+        "test_greedy",
+    ),
+    Mutant(
+        "rule out pairs that may be the best",
+        "pairs.py",
+        "share = 1.0 - self._entered[k, rows] - self._entered[k, columns].max()",
+        "share = 1.0 - self._entered[k, rows]",
+        "test_pairs",
     ),
     Mutant(
         "forget the rewards of all but the last step for which an action is held",

@@ -39,6 +39,45 @@ def test_from_demonstrations_to_a_ranking(
     assert "uniform measure" in out
 
 
+def test_several_constraints_one_after_another(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """The first pick is the first of the ranking; the next gains less than it has alone."""
+    arguments = infer(robot, demonstrations, tmp_path / "work", "--solver", SOLVER, "--greedy", 2)
+    status, out, _ = run(*arguments, "--json")
+    assert status == 0
+    answer = json.loads(out)
+    first, second = answer["greedy"]
+    best = answer["ranking"][0]
+    assert (first["index"], first["name"]) == (best["index"], best["name"])
+    assert first["total_gain"] == pytest.approx(best["log_likelihood"])
+    assert first["gain"] == pytest.approx(first["total_gain"] / 4)
+    assert first["log_odds"] == pytest.approx(answer["none"]["log_bayes_factor"])
+    assert second["standard_error"] > 0.0
+    status, out, _ = run(*arguments)
+    assert status == 0
+    assert "pick  index      nats   a demo     +-  log odds  hypothesis" in out
+    assert f"    2 {second['index']:>6}  {second['total_gain']:>8.2f}" in out
+    for more, message in (
+        (("--greedy", 0, demonstrations[0]), "--greedy: expected a number of picks >= 1, got 0"),
+        (("--greedy", 2), "--greedy: constraints are picked from demonstrations"),
+    ):
+        status, _, said = run("infer", robot, *more)
+        assert status == 1
+        assert message in said
+
+
+def test_exact_answers_are_worked_out_anew_for_each_pick(run: Run, tmp_path: Path) -> None:
+    rows = ["x,y,dx,dy", "0,0,0,1", "0,1,1,1", "1,2,1,0", "2,2,1,-1", "3,1,0,-1", "3,0,0,0"]
+    (tmp_path / "round.csv").write_text("\n".join(rows))
+    problem = "gridworld?width=4&height=3&num_steps=6"
+    status, out, _ = run("infer", problem, tmp_path / "round.csv", "--greedy", 3, "--json")
+    assert status == 0
+    picks = json.loads(out)["greedy"]
+    assert len(picks) == 3
+    assert [pick["standard_error"] for pick in picks] == [0.0] * 3
+
+
 def test_a_reader_that_stops_early_is_no_error(robot: str) -> None:
     command = [sys.executable, "-m", "swerve", "demonstrate", "--help"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -24,9 +24,9 @@ from swerve.problem import Problem
 from swerve.reproduce import golden as golden_output
 from swerve.reproduce import gridworld, gridworld_figures
 from swerve.reproduce.golden import Golden, Picked, compare, read_golden
-from swerve.rewards import taken_actions
+from swerve.rewards import divergence, taken_actions
 from swerve.sampling import sample
-from swerve.selection import Pick, divergence, greedy
+from swerve.selection import Pick, greedy
 from swerve.solvers.tabular import Tabular
 from swerve.space import Actions, Task
 from swerve.systems.gridworld import MOVES, Gridworld
@@ -73,7 +73,8 @@ def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
     nominal = Tabular().learn(world.problem)
     selected = []
     for size in SIZES:
-        picks = greedy(nominal, made[:size], threshold=world.threshold)
+        found = infer(sample(nominal, world.task), made[:size])
+        picks = greedy(found, nominal, threshold=world.threshold)
         after = left_after(world.problem, made[:size], picks)
         indices = [pick.hypothesis for pick in picks]
         selected.append(
@@ -172,9 +173,10 @@ def test_cutting_a_sequence_is_picking_with_the_larger_threshold() -> None:
     for size in (1, 10):
         used = world.sets[0][:size]
         longest = golden_output.pick(nominal, used, 0.01)
+        inference = infer(sample(nominal, world.task), used)
         lengths = []
         for threshold in gridworld.THRESHOLDS:
-            picks = greedy(nominal, used, threshold=threshold)
+            picks = greedy(inference, nominal, threshold=threshold)
             found = gridworld.cut(longest, threshold)
             assert found.hypotheses == [pick.hypothesis for pick in picks]
             assert found.gains == [pick.gain for pick in picks]

@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from swerve.mdp import MDP, rk4
     from swerve.monitor import Monitor
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
+    from swerve.pairs import Pair, best_pair
     from swerve.problem import Problem
     from swerve.resolving import resolve
+    from swerve.rewards import divergence
     from swerve.sampling import sample
-    from swerve.selection import Pick, divergence, greedy
+    from swerve.selection import Pick, greedy
     from swerve.solvers.discrete import Discrete
     from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.temperature import BetaFit, fit_beta
+    from swerve.windows import windows
 
 __version__ = "0.1.0"
 
@@ -71,6 +74,7 @@ _HOMES = {
     "Monitor": "monitor",
     "Nominal": "nominal",
     "PPO": "solvers.ppo",
+    "Pair": "pairs",
     "Pick": "selection",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
@@ -82,8 +86,9 @@ _HOMES = {
     "TabularMDP": "systems.tabular",
     "Task": "space",
     "Union": "constraints",
+    "best_pair": "pairs",
     "demonstrate": "demonstrators.boltzmann",
-    "divergence": "selection",
+    "divergence": "rewards",
     "fit_beta": "temperature",
     "foresee": "foresight_training",
     "greedy": "selection",
@@ -102,6 +107,7 @@ _HOMES = {
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
+    "windows": "windows",
     "write_demonstrations": "demonstrations",
 }
 
@@ -126,6 +132,7 @@ __all__ = [
     "Inference",
     "Monitor",
     "Nominal",
+    "Pair",
     "Pendulum",
     "Pick",
     "Predicate",
@@ -137,6 +144,7 @@ __all__ = [
     "TabularMDP",
     "Task",
     "Union",
+    "best_pair",
     "demonstrate",
     "divergence",
     "fit_beta",
@@ -157,6 +165,7 @@ __all__ = [
     "sample",
     "save_nominal",
     "tabular",
+    "windows",
     "write_demonstrations",
 ]
 

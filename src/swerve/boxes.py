@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import keyword
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,27 @@ class Box(Constraint):
             hit = hit | (xp.minimum(leave, 1.0) > xp.maximum(enter, 0.0))
         return hit
 
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the Euclidean distance [...] of states [..., n] over the states that it names."""
+        parts = [
+            interval_distance(states[..., space.column(name)], low, high, name in space.angles)
+            for name, (low, high) in self.intervals.items()
+        ]
+        return np.linalg.norm(parts, axis=0)
+
+    def eroded(self, margin: Mapping[str, float]) -> Box:
+        """Return the box less a margin on both sides of every interval; open sides stay open."""
+        intervals = {}
+        for name, (low, high) in self.intervals.items():
+            width = margin.get(name, 0.0)
+            if not low + width < high - width:
+                raise ValueError(
+                    f"margin: {width:g} for {name!r} leaves nothing of {self.name}: expected less "
+                    f"than half its width, {(high - low) / 2:.6g}"
+                )
+            intervals[name] = (low + width, high - width)
+        return Box(**intervals)
+
     def to_json(self) -> dict[str, Any]:
         """Return JSON data; an open side is None, since JSON has no infinity."""
         return {"kind": "box", "intervals": _finite_intervals(self.intervals)}
@@ -133,9 +154,22 @@ class ActionBox(Constraint):
             inside = inside & (low <= value) & (value < high)
         return inside
 
+    def eroded(self, margin: Mapping[str, float]) -> ActionBox:
+        """Return itself: the margin is about states."""
+        del margin
+        return self
+
     def to_json(self) -> dict[str, Any]:
         """Return JSON data; an open side is None, since JSON has no infinity."""
         return {"kind": "action_box", "intervals": _finite_intervals(self.intervals)}
+
+
+def interval_distance(values: np.ndarray, low: Any, high: Any, is_angle: bool) -> np.ndarray:
+    """Return how far values are from intervals [low, high); by the shorter arc for angles."""
+    if not is_angle:
+        return np.maximum(0.0, np.maximum(low - values, values - high))
+    above, width = (values - low) % TWO_PI, high - low
+    return np.where(above < width, 0.0, np.minimum(above - width, TWO_PI - above))
 
 
 def interval_name(name: str, low: float, high: float) -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from swerve.evidence import Evidence
     from swerve.inference import Inference
+    from swerve.selection import Pick
     from swerve.space import Task
     from swerve.work import Work
 
@@ -89,6 +90,7 @@ def infer(
     margin: Annotated[dict[str, float] | None, Parameter(negative=())] = None,
     clearance: float | None = None,
     no_resolve: bool = False,
+    greedy: int | None = None,
     as_json: AsJson = False,
 ) -> None:
     """Rank the hypotheses of a problem by how well they explain demonstrations.
@@ -108,11 +110,15 @@ def infer(
       clearance: Leave a hypothesis out for tasks that start or end within this distance of it.
       no_resolve: Leave the score of what next to no trajectory avoids at what the samples tell, a
         lower bound, instead of working out what avoiding it takes, which may need minutes.
+      greedy: Pick up to this many constraints as well, one after another, each for what those
+        before it leave to be explained.
     """
     from swerve.inference import infer as infer_constraints
 
     if report is not None:
         _check_report(report)
+    if greedy is not None:
+        _check_greedy(greedy, demonstrations)
     job = _work(problem, work, solver, seed, method, samples)
     found = _read(job, demonstrations, tasks)
     asked = _asked_tasks(job, found, tasks)
@@ -131,7 +137,8 @@ def infer(
     result = rank(evidence)
     if not no_resolve:
         result = rank(job.resolved(result))
-    _show(result, report, as_json)
+    picks = None if greedy is None else _picks(job, result, greedy)
+    _show(result, picks, report, as_json)
 
 
 @app.command
@@ -439,17 +446,38 @@ def _only(evidence: Evidence, tasks: Task) -> Evidence:
     return evidence.select(sorted(indices))
 
 
-def _show(result: Inference, report: Path | None, as_json: bool) -> None:
-    """Print a result, and write its report if one is asked for."""
+def _check_greedy(most: int, demonstrations: tuple[Path, ...]) -> None:
+    """Make sure that there is something to pick from before the work."""
+    if most < 1:
+        raise ValueError(f"--greedy: expected a number of picks >= 1, got {most}")
+    if not demonstrations:
+        raise ValueError("--greedy: constraints are picked from demonstrations: give at least one")
+
+
+def _picks(job: Work, result: Inference, most: int) -> list[Pick]:
+    """Return what greedy selection picks from a result."""
+    from swerve.selection import greedy
+
+    nominal: Any = job.nominal() if result.evidence.is_exact else None
+    return greedy(result, nominal, most=most)
+
+
+def _show(result: Inference, picks: list[Pick] | None, report: Path | None, as_json: bool) -> None:
+    """Print a result and what was picked, and write its report if one is asked for."""
+    from swerve import listing
+
     for warning in result.warnings:
         _say(f"warning: {warning}")
     if as_json:
-        print(json.dumps(result.to_json()))
+        picked = {} if picks is None else {"greedy": listing.picks_to_json(result, picks)}
+        print(json.dumps(result.to_json() | picked))
     else:
         print(result.evidence.problem.summary)
         print(result.headline)
         print(result.belief)
         print(result.table())
+        if picks is not None:
+            print(listing.picks_table(result, picks))
         print(result.verdicts())
     if report is not None:
         result.report(report)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,36 @@ class Constraint(ABC):
     def forbids(self, actions: Actions) -> Any:
         """Return [...] True where an action lies in the set; nowhere unless overridden."""
         return nowhere(actions.values)
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [...] from states [..., n] to the set, 0 inside.
+
+        It is Euclidean over the states that the set names, in their own units, angles by the
+        shorter arc.
+
+        Raises:
+          ValueError: if there is no telling, as for predicates.
+        """
+        del states, space
+        raise ValueError(
+            f"{self.name}: a {type(self).__name__} has no distance: use constraints on states with "
+            "a shape, such as Box"
+        )
+
+    def eroded(self, margin: Mapping[str, float]) -> Constraint:
+        """Return the set of states deeper inside than measurement noise explains.
+
+        Args:
+          margin: for some states, how deep, in the state's unit.
+
+        Raises:
+          ValueError: if nothing is left, or there is no telling, as for predicates.
+        """
+        del margin
+        raise ValueError(
+            f"{self.name}: a {type(self).__name__} cannot be made smaller by a margin: use "
+            "constraints with a shape, such as Box"
+        )
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where the constraint does not fit the states or the actions."""
@@ -113,6 +143,14 @@ class Union(Constraint):
     def forbids(self, actions: Actions) -> Any:
         """Return [...] True where an action lies in one of the parts."""
         return _any(part.forbids(actions) for part in self._constraints)
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [...] of states to the nearest of the parts."""
+        return np.min([part.distance(states, space) for part in self._constraints], axis=0)
+
+    def eroded(self, margin: Mapping[str, float]) -> Union:
+        """Return the union of the parts, each less the margin."""
+        return Union(self._name, [part.eroded(margin) for part in self._constraints])
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""

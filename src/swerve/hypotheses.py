@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from swerve.arguments import whole_number
-from swerve.boxes import ActionBox, Box
+from swerve.boxes import ActionBox, Box, interval_distance
 from swerve.constraints import (
     Constraint,
     Predicate,
@@ -89,6 +89,34 @@ class HypothesisSet(ABC):
     def name(self, index: int) -> str:
         """Return the name of hypothesis `index`."""
         return self.constraint(index).name
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [..., H] from states [..., n] to each hypothesis.
+
+        Raises:
+          ValueError: if a hypothesis has none, see `Constraint.distance`.
+        """
+        states = np.asarray(states, float)
+        each = [self.constraint(index).distance(states, space) for index in range(len(self))]
+        return np.stack(each, axis=-1)
+
+    def eroded(self, margin: Mapping[str, float], space: StateSpace) -> HypothesisSet:
+        """Return as many hypotheses, each less a margin for measurement noise.
+
+        Args:
+          margin: for some states, how deep inside one must be, in the state's unit.
+          space: what the states are.
+
+        Raises:
+          ValueError: if a margin is negative or no number, is of no state, or leaves nothing of a
+            hypothesis.
+        """
+        for name, width in margin.items():
+            space.column(name)
+            if not (math.isfinite(width) and width >= 0.0):
+                raise ValueError(f"margin: expected a width >= 0 for {name!r}, got {width}")
+        each = (self.constraint(index).eroded(margin) for index in range(len(self)))
+        return ConstraintHypotheses(each)
 
 
 class GridHypotheses(HypothesisSet):
@@ -202,6 +230,18 @@ class GridHypotheses(HypothesisSet):
             cells.append(_join(axes, indices))
         return np.concatenate(segments), np.concatenate(cells)
 
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [..., H] from states [..., n] to each cell."""
+        return distance_to_boxes(states, space, self.edges())
+
+    def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return for each axis where its cells begin and end."""
+        ends = {}
+        for name, (low, high, count) in self.axes.items():
+            lines = low + np.arange(count + 1) * ((high - low) / count)
+            ends[name] = (lines[:-1], lines[1:])
+        return ends
+
     def _lines(self, space: StateSpace) -> list[GridAxis]:
         return [
             GridAxis(space.column(name), low, high, count, name in space.angles)
@@ -287,10 +327,33 @@ def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
     return GridHypotheses(axes)
 
 
+def distance_to_boxes(
+    states: np.ndarray, space: StateSpace, edges: Mapping[str, tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return the distance [..., H] from states [..., n] to the boxes of a regular arrangement.
+
+    Args:
+      states: where from.
+      space: what the states are.
+      edges: for each axis where the intervals along it begin and end; the last axis is fastest.
+    """
+    states = np.asarray(states, float)
+    square = np.zeros((*states.shape[:-1], 1))
+    for name, (low, high) in edges.items():
+        values = states[..., space.column(name), None]
+        along = interval_distance(values, low, high, name in space.angles) ** 2
+        square = (square[..., None] + along[..., None, :]).reshape(*states.shape[:-1], -1)
+    return np.sqrt(square)
+
+
 def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
     """Rebuild hypotheses from `to_json` data."""
     if data["kind"] == "grid":
         return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
+    if data["kind"] == "windows":
+        from swerve.windows import windows
+
+        return windows(data["overlap"], **data["axes"])
     return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
 
 

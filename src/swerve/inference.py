@@ -382,7 +382,7 @@ def infer(
         is_counted=_is_counted(evidence, clearance),
         tolerance=likelihood.checked_tolerance(tolerance),
         prior=posterior.checked_prior(prior, len(hypotheses)),
-        judged=hypotheses if margin is None else hypotheses.eroded(margin),
+        judged=hypotheses if margin is None else hypotheses.eroded(margin, evidence.problem.space),
     )
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")

@@ -1,4 +1,4 @@
-"""An inference as text and as JSON data, row by row.
+"""An inference, and what is picked from it, as text and as JSON data, row by row.
 
 Shapes: K tasks, H hypotheses.
 """
@@ -6,11 +6,15 @@ Shapes: K tasks, H hypotheses.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swerve.inference import Inference
+
+if TYPE_CHECKING:
+    from swerve.selection import Pick
 
 
 def table(inference: Inference, num_rows: int) -> str:
@@ -64,13 +68,46 @@ def to_json(inference: Inference) -> dict[str, Any]:
     }
 
 
+def picks_table(inference: Inference, picks: Sequence[Pick]) -> str:
+    """Return what greedy selection picked, in order, as text."""
+    if not picks:
+        return "no constraint explains enough to be picked"
+    columns = f"{'nats':>8} {'a demo':>8} {'+-':>6}  {'log odds':>8}"
+    lines = [f"{'pick':>5} {'index':>6}  {columns}  hypothesis"]
+    for number, pick in enumerate(picks, 1):
+        lines.append(
+            f"{number:>5} {pick.hypothesis:>6}  {pick.total_gain:>8.2f} {pick.gain:>8.3f} "
+            f"{pick.standard_error:>6.3f}  {pick.log_odds:>8.2f}  "
+            f"{inference.hypothesis_name(pick.hypothesis)}"
+        )
+    return "\n".join(lines)
+
+
+def picks_to_json(inference: Inference, picks: Sequence[Pick]) -> list[dict[str, Any]]:
+    """Return what greedy selection picked, in order; null where a number is infinite."""
+    return [
+        {
+            "index": pick.hypothesis,
+            "name": inference.hypothesis_name(pick.hypothesis),
+            "total_gain": pick.total_gain,
+            "gain": pick.gain,
+            "standard_error": _finite(pick.standard_error),
+            "log_odds": _finite(pick.log_odds),
+        }
+        for pick in picks
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def _none(inference: Inference) -> dict[str, Any]:
-    factor = inference.log_bayes_factor
     return {
         "prior": float(inference.prior[0]),
         "posterior": inference.posterior.none,
         "posterior_error": inference.posterior.none_error,
-        "log_bayes_factor": factor if math.isfinite(factor) else None,
+        "log_bayes_factor": _finite(inference.log_bayes_factor),
         "least_tolerance": inference.least_tolerance,
     }
 

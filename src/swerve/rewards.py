@@ -1,4 +1,4 @@
-"""What a demonstration earned: R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L).
+"""What a demonstration earned, R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L), and its divergence.
 
 Shapes: M demonstrations, L states of one, n state dimensions, m action dimensions.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -20,6 +21,7 @@ from swerve.problem import Problem
 from swerve.state_checks import check_finite, check_horizon, check_transitions, row_namer
 from swerve.systems.tabular import TabularMDP
 
+DIGITS = 9  # by which demonstrations are told apart
 ON_TIME = 1e-3  # of a step: rows as close to the MDP's time steps as this are not resampled
 
 
@@ -124,6 +126,49 @@ def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) ->
     path, taken = jnp.asarray(states, jnp.float32), jnp.asarray(actions, jnp.float32)
     steps = jax.vmap(mdp.reward, (0, 0, 0, None))(path[:-1], taken, path[1:], goal)
     return float(np.asarray(steps, float).sum()) + end
+
+
+def divergence(
+    problem: Problem, demonstrations: Sequence[Demonstration], log_partition: np.ndarray
+) -> float:
+    """Return KL(demonstrations || pi_C) in nats a demonstration.
+
+    It is sum p log p - mean [beta R + log m] + mean log Z_C, where p are the frequencies of the
+    distinct demonstrations among those of their task.
+
+    Args:
+      problem: dynamics and reward.
+      demonstrations: with actions; of a tabular MDP, states alone may do.
+      log_partition: [M] log Z_C of the task of each demonstration, nats.
+
+    Raises:
+      ValueError: if there is not one log Z_C for each demonstration, or a demonstration lacks
+        actions, or has a step that the MDP does not allow.
+    """
+    if isinstance(demonstrations, Demonstration) or not len(demonstrations):
+        raise ValueError("demonstrations: expected a list of at least one")
+    log_partition = np.asarray(log_partition, float)
+    if log_partition.shape != (len(demonstrations),):
+        raise ValueError(
+            f"log_partition: expected one number for each of {len(demonstrations)} demonstrations, "
+            f"that of its task, got shape {log_partition.shape}"
+        )
+    log_measure = -math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
+    tasks, paths, terms = [], [], []
+    for demonstration, value in zip(demonstrations, log_partition, strict=True):
+        actions = taken_actions(problem.mdp, demonstration)
+        reward = total_reward(problem.mdp, demonstration, actions)
+        terms.append(value - problem.beta * reward - log_measure * len(actions))
+        tasks.append(_key(*demonstration.task))
+        paths.append((tasks[-1], _key(demonstration.states, actions)))
+    of_task, of_path = Counter(tasks), Counter(paths)
+    log_share = [math.log(of_path[path] / of_task[path[0]]) for path in paths]
+    return float(np.mean(log_share) + np.mean(terms))
+
+
+def _key(*arrays: np.ndarray) -> bytes:
+    """Return what is the same for arrays of the same shapes that are the same but for rounding."""
+    return np.concatenate([np.round(a, DIGITS).ravel() + 0.0 for a in arrays]).tobytes()
 
 
 def _at_steps(mdp: MDP, demonstration: Demonstration) -> Demonstration:

@@ -22,8 +22,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swerve.demonstrations import Demonstration
+from swerve.inference import infer
 from swerve.problem import Problem
-from swerve.selection import divergence, greedy
+from swerve.rewards import divergence
+from swerve.sampling import sample
+from swerve.selection import greedy
 from swerve.solvers.tabular import TableNominal, Tabular
 from swerve.space import Task
 from swerve.systems.gridworld import MOVES, Cell, Gridworld
@@ -178,7 +181,8 @@ def compare(golden: Golden) -> Agreement:
 
 def pick(nominal: TableNominal, demonstrations: list[Demonstration], threshold: float) -> Picked:
     """Pick constraints from demonstrations of a single task; threshold in nats a demonstration."""
-    picks = greedy(nominal, demonstrations, threshold=threshold)
+    inference = infer(sample(nominal, demonstrations[0].task), demonstrations)
+    picks = greedy(inference, nominal, threshold=threshold)
     start = divergence(nominal.problem, demonstrations, np.zeros(len(demonstrations)))
     free = nominal.log_partition(demonstrations[0].task, [()])
     after = [float(value) for value in (free[0], *(pick.log_partition[0] for pick in picks))]
