@@ -26,7 +26,9 @@ from rich.table import Table
 import swerve
 from swerve.demonstrations import Demonstration
 from swerve.foresight import Foreseer, Foresight
+from swerve.look_ahead import ValuedPolicy
 from swerve.nominal import PolicyNominal
+from swerve.resolving import AdaptingSolver
 
 TRUTH = 55
 OPEN = -0.05  # nats: above this the exact log P leaves next to nothing to be foreseen
@@ -48,6 +50,7 @@ def soft_values(nominal: PolicyNominal, demonstrations: list[Demonstration]) -> 
     goals = np.stack([item.task.goal for item in demonstrations])
     found = []
     for policy, item in zip(nominal.policies(goals), demonstrations, strict=True):
+        assert isinstance(policy, ValuedPolicy)
         states, steps = places(item, nominal.problem)
         value = jax.jit(jax.vmap(policy.soft_value, (0, 0, None)))
         goal = jnp.asarray(item.task.goal, jnp.float32)
@@ -155,7 +158,9 @@ def exact_values(
     problem = nominal.problem
     known = [*problem.known, problem.hypotheses.constraint(index)]
     narrower = dataclasses.replace(problem, known=known)
+    assert isinstance(nominal.solver, AdaptingSolver)
     (adapted,) = nominal.solver.adapted(nominal, narrower, 0)
+    assert isinstance(adapted, PolicyNominal)
     pairs = zip(soft_values(adapted, demonstrations), unconstrained, strict=True)
     return [np.minimum(obeying - free, 0.0) for obeying, free in pairs]
 
@@ -175,6 +180,7 @@ def rise_table(
     for column in ("demonstration", "nearest at [s]", *sources, "end"):
         table.add_column(column)
     box = problem.hypotheses.constraint(TRUTH)
+    assert isinstance(box, swerve.Box)
     centre = np.array([np.mean(interval) for interval in box.intervals.values()])
     for k, item in enumerate(demonstrations):
         states, steps = places(item, problem)

@@ -102,8 +102,7 @@ class Monitor:
         number = evidence.match(task)
         self._problem, self._start = problem, evidence.tasks.start[number]
         self._ahead = foresight.towards(evidence.tasks.goal[number])
-        judged = hypotheses if margin is None else hypotheses.eroded(margin)
-        self._steps = stepwise(judged, space, problem.between_states)
+        self._steps = stepwise(hypotheses, space, problem.between_states, margin)
         log_ratio = evidence.log_ratio[number]
         self._impossible = np.asarray(evidence.is_exact & np.isneginf(log_ratio))
         self._log_ratio = np.where(self._impossible, 0.0, log_ratio)

@@ -8,11 +8,12 @@ others are judged as whole trajectories are (see `hypotheses`), and so is whatev
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
+from swerve.constraints import violates
 from swerve.grid_axis import GridAxis
 from swerve.hypotheses import GridHypotheses, HypothesisSet, unpack
 from swerve.space import TWO_PI, StateSpace
@@ -26,12 +27,26 @@ class Steps(Protocol):
         ...
 
 
-def stepwise(hypotheses: HypothesisSet, space: StateSpace, between_states: bool) -> Steps:
-    """Return what judges one trajectory, from its first state on."""
+def stepwise(
+    hypotheses: HypothesisSet,
+    space: StateSpace,
+    between_states: bool,
+    margin: Mapping[str, float] | None = None,
+) -> Steps:
+    """Return what judges one trajectory, from its first state on.
+
+    Args:
+      hypotheses: what it may enter.
+      space: what the states are.
+      between_states: whether the segments between states count as well.
+      margin: how deep inside a hypothesis it must be, for some states.
+    """
+    left = hypotheses if margin is None else hypotheses.eroded(margin, space)
+    if not isinstance(hypotheses, GridHypotheses):
+        return WholeSteps(left, space, between_states)
     whole = WholeSteps(hypotheses, space, between_states)
-    if isinstance(hypotheses, GridHypotheses):
-        return GridSteps(hypotheses, space, whole)
-    return whole
+    steps = GridSteps(hypotheses, space, whole)
+    return steps if margin is None else ErodedSteps(steps, left, space, between_states)
 
 
 class WholeSteps:
@@ -86,6 +101,31 @@ class GridSteps:
                 return ()
             cell = cell * axis.count + within
         return (cell,)
+
+
+class ErodedSteps:
+    """Judges what a margin leaves of the cells of a grid: only where the cells are is any of it."""
+
+    def __init__(
+        self, cells: GridSteps, left: HypothesisSet, space: StateSpace, between_states: bool
+    ) -> None:
+        self._cells, self._left, self._space = cells, left, space
+        self._between_states = between_states
+        self._around: tuple[int, ...] = ()  # the cell of the last state is one of these
+        self._last: list[float] | None = None
+
+    def enter(self, state: list[float]) -> Sequence[int]:
+        """Return the cells into whose rest the way from the last state to this one leads."""
+        last, self._last = self._last, list(state)
+        crossed = tuple(self._cells.enter(state))
+        path = np.array([last or state, state] if self._between_states else [state])
+        candidates = dict.fromkeys((*self._around, *crossed))
+        self._around = crossed or self._around
+        return [
+            k
+            for k in candidates
+            if violates(self._left.constraint(k), path, self._space, self._between_states)
+        ]
 
 
 def _place(axis: GridAxis, value: float) -> tuple[float, int]:

@@ -52,9 +52,9 @@ class Watch:
         try:
             data = json.loads(line)
             if isinstance(data, list):
-                data = dict(zip(self._names, data, strict=len(data) == len(self._names)))
                 if len(data) != len(self._names):
                     raise ValueError(f"expected {len(self._names)} numbers, got {line.strip()}")
+                data = dict(zip(self._names, data, strict=True))
             if not isinstance(data, dict):
                 raise ValueError(f"expected an object or an array, got {line.strip()}")
             name = str(data.get("id", ""))
@@ -78,7 +78,9 @@ class Watch:
     def _begun(self, name: str) -> Monitor:
         """Return a monitor for a demonstration that begins."""
         tasks = self._tasks
-        task = next(iter(tasks.values())) if len(tasks) == 1 else tasks.get(name)
+        task = tasks.get(name, tasks.get(name.removeprefix("demo_")))
+        if len(tasks) == 1:
+            (task,) = tasks.values()
         if task is None:
             raise ValueError(
                 f"id {name!r}: expected that of one of {len(tasks)} tasks, such as "
