@@ -64,7 +64,8 @@ def test_rollouts_tell_the_same(pendulum) -> None:
 
 
 def test_weights_make_up_for_a_coarse_policy() -> None:
-    nominal = swerve.learn(short_pendulum(), "grid?num_points=7")
+    # with 11 nodes an axis, trajectories that all weigh alike are off by 0.07
+    nominal = swerve.learn(short_pendulum(), "grid?num_points=11")
     ahead = swerve.Rollouts(nominal, 20_000).towards(PENDULUM_TASK.goal)
     place = PLACES[0]
     error = np.exp(ahead(np.array(place[0]), place[1])) - exact_pendulum(place)

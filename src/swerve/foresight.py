@@ -168,10 +168,12 @@ class Foresight:
 
         Args:
           state: [..., n].
-          step: [...] from 0 to T.
-          goal: [..., g].
+          step: [...] from 0 to T, or one for all.
+          goal: [..., g], or one for all.
         """
-        x = self.inputs(np.asarray(state, float), np.asarray(step, float), np.asarray(goal, float))
+        state, goal = np.asarray(state, float), np.asarray(goal, float)
+        step = np.broadcast_to(np.asarray(step, float), state.shape[:-1])
+        x = self.inputs(state, step, np.broadcast_to(goal, (*step.shape, goal.shape[-1])))
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = np.tanh(x @ weight.T + bias)
         output = x @ self.weights[-1].T + self.biases[-1]
