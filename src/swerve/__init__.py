@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from swerve.demonstrators.boltzmann import demonstrate
     from swerve.estimators import hoeffding_error, hoeffding_sample_size
     from swerve.evidence import Evidence
+    from swerve.foresight import Foresight
+    from swerve.foresight_training import Rollouts, foresee
     from swerve.hypotheses import HypothesisSet, grid
     from swerve.inference import Inference, infer
     from swerve.mdp import MDP, rk4
+    from swerve.monitor import Monitor
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.occupancy import Occupancy
     from swerve.pairs import Pair, best_pair
@@ -65,11 +68,13 @@ _HOMES = {
     "DoublePendulum": "systems.double_pendulum",
     "Enumeration": "solvers.enumeration",
     "Evidence": "evidence",
+    "Foresight": "foresight",
     "Grid": "solvers.grid",
     "Gridworld": "systems.gridworld",
     "HypothesisSet": "hypotheses",
     "Inference": "inference",
     "MDP": "mdp",
+    "Monitor": "monitor",
     "Nominal": "nominal",
     "Occupancy": "occupancy",
     "PPO": "solvers.ppo",
@@ -79,6 +84,7 @@ _HOMES = {
     "Predicate": "constraints",
     "Problem": "problem",
     "SoftPaths": "solvers.soft_paths",
+    "Rollouts": "foresight_training",
     "SoftValue": "solvers.soft_value",
     "StateSpace": "space",
     "Tabular": "solvers.tabular",
@@ -90,6 +96,7 @@ _HOMES = {
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "rewards",
     "fit_beta": "temperature",
+    "foresee": "foresight_training",
     "greedy": "selection",
     "grid": "hypotheses",
     "hoeffding_error": "estimators",
@@ -124,10 +131,12 @@ __all__ = [
     "DoublePendulum",
     "Enumeration",
     "Evidence",
+    "Foresight",
     "Grid",
     "Gridworld",
     "HypothesisSet",
     "Inference",
+    "Monitor",
     "Nominal",
     "Occupancy",
     "Pair",
@@ -135,6 +144,7 @@ __all__ = [
     "Pick",
     "Predicate",
     "Problem",
+    "Rollouts",
     "SoftPaths",
     "SoftValue",
     "StateSpace",
@@ -147,6 +157,7 @@ __all__ = [
     "demonstrate",
     "divergence",
     "fit_beta",
+    "foresee",
     "greedy",
     "grid",
     "hoeffding_error",

@@ -178,6 +178,50 @@ def fit_beta(
 
 
 @app.command
+def watch(
+    problem: Problem,
+    /,
+    *,
+    work: Path,
+    tasks: Tasks = None,
+    solver: SolverName = None,
+    samples: Samples = None,
+    method: Method = None,
+    prior: float | None = None,
+    tolerance: float = 0.0,
+    seed: Seed = None,
+) -> None:
+    """Watch demonstrations state by state: JSON lines in, JSON lines out.
+
+    A line in is an object such as {"theta": 3.1, "omega": 0.2, "t": 0.05, "id": "a"}, or an array
+    of the states; {"end": true, "id": "a"} ends a demonstration. Learns whatever the work folder
+    does not hold yet first.
+
+    Args:
+      tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one.
+        [default: the task that the work folder holds, if it is only one]
+      prior: Probability of no constraint. [default: 0.5]
+      tolerance: Probability with which a demonstration ignores the constraint.
+    """
+    from swerve.demonstrations import read_tasks
+    from swerve.space import Task
+    from swerve.watch import Watch, foresight_of
+    from swerve.watch import watch as answer_lines
+
+    job = _work(problem, work, solver, seed, method, samples)
+    asked = _asked_tasks(job, [], tasks)
+    evidence = job.evidence(asked)
+    if tasks is not None:
+        named = read_tasks(tasks, job.record.space, job.record.goal_names)
+    else:
+        rows = zip(*evidence.tasks, strict=True)
+        named = {str(k): Task(*row) for k, row in enumerate(rows)}
+    watched = Watch(evidence, foresight_of(job, evidence), named, prior=prior, tolerance=tolerance)
+    _say("watching: one state a line")
+    answer_lines(sys.stdin, watched.answer, sys.stdout)
+
+
+@app.command
 def learn(
     problem: Problem,
     /,

@@ -4,6 +4,7 @@
                                                    it came from, and the settings used last
     <solver>.seed<S>.nominal                       what the solver learned
     <solver>.seed<S>.<method>.<N>.evidence         what sampling it told
+    <solver>.seed<S>.<method>.<N>.foresight        what watching needs besides
     <solver>.seed<S>.checkpoint                    training that is under way
     <solver>.seed<S>.training.png                  a picture of how training went
     outdated/                                      all this as it was before the problem changed
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from swerve.nominal import Nominal
     from swerve.problem import Problem
 
-RESULTS = ("*.nominal", "*.evidence", "*.checkpoint", "*.training.png")
+RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training.png")
 OUTDATED = "outdated"  # folder of what was there before the problem changed
 FORMAT = 3  # of problem.json
 NUM_PRIOR_TASKS = 8

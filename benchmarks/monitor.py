@@ -1,0 +1,213 @@
+"""How long one state takes a monitor, and whether `swerve watch` keeps up.
+
+    python benchmarks/monitor.py [--hypotheses 100,10000] [--states N] [--watch SECONDS]
+
+A pendulum's path drawn at random, observed state by state, input checks and posterior included,
+with a network of random weights: it takes as long as one that has learned. Pin it to a core that
+nothing else uses (`taskset -c 1`). A loop of the same number of plain NumPy calls is timed beside,
+so that machines can be compared. With --watch, `swerve watch` gets a state every millisecond for so
+long, and how late its answers are is told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from swerve.evidence import Evidence
+from swerve.foresight import Foresight, Inputs, hidden_sizes
+from swerve.hypotheses import grid
+from swerve.monitor import Monitor
+from swerve.problem import ProblemRecord
+from swerve.samples import Samples, summarise
+from swerve.space import TWO_PI, StateSpace, Task
+
+WARM_UP = 1000
+QUANTILES = (0.5, 0.99, 0.999)
+NUM_CALLS = 30  # NumPy calls of the loop that is timed beside
+
+
+def make(num_hypotheses: int) -> tuple[Evidence, Task, Foresight]:
+    """Return evidence of a square grid of hypotheses, a task of it, and a network for it."""
+    side = math.isqrt(num_hypotheses)
+    space = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-8.0, 8.0]]))
+    record = ProblemRecord(
+        name="Pendulum",
+        space=space,
+        action_names=("torque",),
+        goal_names=space.names,
+        goal_is_last_state=True,
+        num_actions=5,
+        num_steps=300,
+        dt=1.0 / 60.0,
+        hypotheses=grid(theta=(0.0, TWO_PI, side), omega=(-6.0, 6.0, side)),
+        known=(),
+        beta=0.67,
+        measure="uniform",
+        between_states=True,
+        mdp_digest="",
+    )
+    generator, num = np.random.default_rng(0), 200
+    chance = generator.random(side**2)
+    samples = Samples(
+        total_reward=np.zeros((1, num)),
+        log_probability=np.zeros((1, num)),
+        length=np.full((1, num), 300),
+        log_correction=np.zeros((1, num)),
+        ancestor=np.arange(num)[None],
+        violations=np.packbits(
+            generator.random((1, num, side**2)) < chance, axis=-1, bitorder="little"
+        ),
+        kept=generator.normal(size=(1, 4, 301, 2)),
+        soft_value=np.full(1, np.nan),
+    )
+    task = Task(np.array([3.0, 0.0]), np.array([1.0, 0.5]))
+    evidence = Evidence(
+        record,
+        Task(task.start[None], task.goal[None]),
+        "plain",
+        num,
+        "",
+        0,
+        summarise(record, samples, "plain"),
+        lambda: samples,
+    )
+    inputs = Inputs(space, True, np.zeros(2), np.ones(2), 300)
+    num_inputs = len(inputs(task.start, np.asarray(0.0), task.goal))
+    sizes = (num_inputs, *hidden_sizes(side**2), side**2)
+    weights = [
+        generator.normal(size=(outputs, before)).astype(np.float32) / before**0.5
+        for before, outputs in itertools.pairwise(sizes)
+    ]
+    biases = [np.zeros(len(weight), np.float32) for weight in weights]
+    foresight = Foresight(
+        record.fingerprint, inputs, task.goal[None], tuple(weights), tuple(biases)
+    )
+    return evidence, task, foresight
+
+
+def path(num_states: int) -> np.ndarray:
+    """Return states [L, 2] of a pendulum under torques that are drawn at random."""
+    generator, dt = np.random.default_rng(1), 1.0 / 60.0
+    states = np.empty((num_states, 2))
+    theta, omega = 3.0, 0.0
+    for k in range(num_states):
+        states[k] = theta, omega
+        omega += dt * (math.sin(theta) - 0.3 * omega + 8.0 * generator.normal())
+        theta += dt * omega
+    return states
+
+
+def observe_times(num_hypotheses: int, num_states: int) -> np.ndarray:
+    """Return how long each state took [s]; a demonstration of 300 steps after another."""
+    evidence, task, foresight = make(num_hypotheses)
+    states, seconds = path(300), np.empty(num_states)
+    for first in range(0, num_states, 300):
+        monitor = Monitor(evidence, task, foresight)
+        for k, state in enumerate(states[: num_states - first]):
+            began = time.perf_counter()
+            monitor.observe(state, k / 60.0)
+            seconds[first + k] = time.perf_counter() - began
+    return seconds[WARM_UP:]
+
+
+def reference_time() -> float:
+    """Return how long NUM_CALLS plain NumPy calls on 100 numbers take [s], the median."""
+    values, seconds = np.zeros(100, np.float32), np.empty(2000)
+    for k in range(len(seconds)):
+        began = time.perf_counter()
+        for _ in range(NUM_CALLS):
+            np.add(values, 1.0, out=values)
+        seconds[k] = time.perf_counter() - began
+    return float(np.median(seconds))
+
+
+def lateness(seconds: float) -> np.ndarray:
+    """Return how late each answer of `swerve watch` is [s], a state every millisecond."""
+    evidence, _, foresight = make(100)
+    states, num = path(300), int(seconds * 1000)
+    with tempfile.TemporaryDirectory() as folder:
+        evidence.save(Path(folder) / "a.evidence")
+        foresight.save(Path(folder) / "a.foresight")
+        code = (
+            "import sys; from pathlib import Path; from swerve.evidence import Evidence\n"
+            "from swerve.foresight import Foresight; from swerve.space import Task\n"
+            "from swerve.watch import Watch, watch\n"
+            f"evidence = Evidence.load({str(Path(folder) / 'a.evidence')!r})\n"
+            f"found = Foresight.load({str(Path(folder) / 'a.foresight')!r}, evidence.problem)\n"
+            "task = Task(evidence.tasks.start[0], evidence.tasks.goal[0])\n"
+            "watch(sys.stdin, Watch(evidence, found, {'a': task}).answer, sys.stdout)"
+        )
+        with subprocess.Popen(
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            answered = np.empty(num)
+            lines = process.stdout
+
+            def listen() -> None:
+                for k in range(num):
+                    assert "error" not in json.loads(lines.readline())
+                    answered[k] = time.perf_counter()
+
+            process.stdin.write("[3.0, 0.0]\n")  # which waits for the start
+            process.stdin.flush()
+            lines.readline()
+            thread = threading.Thread(target=listen)
+            thread.start()
+            sent, began = np.empty(num), time.perf_counter()
+            for k in range(num):
+                time.sleep(max(0.0, began + k * 1e-3 - time.perf_counter()))
+                sent[k] = began + k * 1e-3
+                state = states[k % 300].tolist()
+                process.stdin.write(json.dumps({"theta": state[0], "omega": state[1]}) + "\n")
+                process.stdin.flush()
+            thread.join()
+            process.stdin.close()
+    return answered - sent
+
+
+def main() -> None:
+    """Time it and print a table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--hypotheses", default="100,10000")
+    parser.add_argument("--states", type=int, default=20_000)
+    parser.add_argument("--watch", type=float, default=0.0, help="seconds of `swerve watch`")
+    arguments = parser.parse_args()
+    reference = reference_time()
+    title = f"Monitor.observe ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f})"
+    table = Table(title=title)
+    for column in ("hypotheses", *(f"{share:.1%} [us]" for share in QUANTILES), "over NumPy calls"):
+        table.add_column(column)
+    for text in arguments.hypotheses.split(","):
+        seconds = observe_times(int(text), arguments.states)
+        times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in QUANTILES]
+        table.add_row(text, *times, f"{np.median(seconds) / reference:.2f}")
+    console = Console(width=110)
+    console.print(table)
+    console.print(f"{NUM_CALLS} plain NumPy calls: {1e6 * reference:.1f} us")
+    if arguments.watch:
+        late = 1e3 * lateness(arguments.watch)
+        console.print(
+            f"swerve watch, {len(late)} states at 1 kHz: answers come "
+            f"{np.median(late):.2f} ms late at the median, {np.quantile(late, 0.999):.1f} at the "
+            f"99.9th percentile, {late[-100:].max():.1f} at the end"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,314 @@
+"""Inference while it happens: what a demonstration tells, state by state.
+
+A demonstration that has avoided c up to its state s_t has, against no constraint, the
+log-likelihood ratio
+
+    log L_t(c) = log P_0(avoid c after t | s_t, t, goal) - log P_0(avoid c | s_0, goal),
+
+whose second term is what the evidence knows (log Z_c / Z_0), and whose first is foreseen. One that
+has entered c is ruled out. At its end nothing is left to be avoided, the first term is 0, and the
+answer is that of `infer`. With a tolerance eps it is eps + (1 - eps) L_t(c), or eps once c is
+entered.
+
+Shapes: H hypotheses, n state dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve import likelihood
+from swerve.arguments import instance
+from swerve.constraints import violates
+from swerve.evidence import Evidence
+from swerve.foresight import Foreseer
+from swerve.posterior import Prior, checked_prior, posterior
+from swerve.space import TWO_PI, Task
+from swerve.state_checks import START_TOLERANCE
+from swerve.stepwise import stepwise
+
+LATE = "late start"
+OUTSIDE = "outside the bounds"
+UNREACHABLE = "unreachable"
+REPEATED = "repeated"
+CONFLICTING = "another state at the same time"
+GAP = "gap"
+OVERTIME = "past the horizon"
+KNOWN = "in a known constraint"
+
+FAST = 5.0  # times the fastest nominal change of a state: nobody gets there in time
+JITTER = 0.01  # of the extent: two measurements of one state may differ by so much
+COARSE = 1.5  # of the model's steps, between two states
+
+
+class Belief(NamedTuple):
+    """What the states so far tell.
+
+    Attributes:
+      struck_out: [H] True where ruled out; with a tolerance entering rules nothing out.
+      log_likelihood: [H] ratio against no constraint [nats]; -inf where struck out.
+      none: probability that there is no constraint.
+      hypotheses: [H] probability of each.
+      entered: the hypotheses that the newest state is the first to enter.
+      flags: what is odd about the newest state; empty if nothing is.
+    """
+
+    struck_out: np.ndarray
+    log_likelihood: np.ndarray
+    none: float
+    hypotheses: np.ndarray
+    entered: tuple[int, ...]
+    flags: tuple[str, ...]
+
+
+class Monitor:
+    """Infers which constraint one demonstrator obeys, while the demonstration lasts.
+
+    Its memory does not grow. Several demonstrators take a monitor each.
+
+    Args:
+      evidence: what `infer` would rest on.
+      task: start and goal of the demonstration, one of those of the evidence.
+      foresight: from `swerve.foresee`, or `swerve.Rollouts` of the nominal distribution.
+      prior: as for `infer`.
+      tolerance: as for `infer`.
+      margin: as for `infer`.
+
+    Raises:
+      ValueError: if an argument is of the wrong kind or range, hypotheses are about actions, there
+        is no evidence for the task, or the foresight is of another problem or not for its goal.
+    """
+
+    def __init__(
+        self,
+        evidence: Evidence,
+        task: Task,
+        foresight: Foreseer,
+        *,
+        prior: Prior = None,
+        tolerance: float = 0.0,
+        margin: Mapping[str, float] | None = None,
+    ) -> None:
+        instance(evidence, Evidence, "evidence", "make some with swerve.sample")
+        problem = evidence.problem
+        hypotheses, space = problem.hypotheses, problem.space
+        _check_foresight(evidence, foresight)
+        self._tolerance = likelihood.checked_tolerance(tolerance)
+        self._prior = checked_prior(prior, len(hypotheses))
+        number = evidence.match(task)
+        self._problem, self._start = problem, evidence.tasks.start[number]
+        self._ahead = foresight.towards(evidence.tasks.goal[number])
+        self._steps = stepwise(hypotheses, space, problem.between_states, margin)
+        log_ratio = evidence.log_ratio[number]
+        self._impossible = np.asarray(evidence.is_exact & np.isneginf(log_ratio))
+        self._log_ratio = np.where(self._impossible, 0.0, log_ratio)
+        self._entered = np.zeros(len(hypotheses), bool)
+        with np.errstate(divide="ignore"):
+            log_prior = np.log(self._prior)
+        self._log_none, self._log_share = float(log_prior[0]), log_prior[1:].astype(np.float32)
+        self._base = self._log_ratio.astype(np.float32)
+        limits = space.bounds + [-START_TOLERANCE, START_TOLERANCE] * space.extent[:, None]
+        limits[space.is_angle] = -np.inf, np.inf
+        self._bounds = limits.tolist()
+        fastest = FAST * evidence.summary.fastest[number]
+        self._reach = list(
+            zip(
+                fastest.tolist(),
+                (JITTER * space.extent).tolist(),
+                space.is_angle.tolist(),
+                strict=True,
+            )
+        )
+        self._array = np.empty(len(space.names))
+        self._state: list[float] = []
+        self._time, self._is_timed = 0.0, False
+        self._last: Belief | None = None
+
+    def observe(self, state: Sequence[float] | np.ndarray, time: float | None = None) -> Belief:
+        """Take in the next state and return what all states so far tell.
+
+        Args:
+          state: [n]; angles may be wrapped or not.
+          time: since the task's start [s]; None takes each state to be one step of the model after
+            the last, the first being at the start. Either all states have one or none.
+
+        Returns:
+          What is believed now, with flags that say what is odd about this state: a first one that
+          is not the task's start (what went before is then left open), one outside the bounds or in
+          a known constraint, one that cannot be reached from the last in that time, one that comes
+          again (which changes nothing) or contradicts the last, a gap of more than a step and a
+          half before it, or one later than the model's horizon.
+
+        Raises:
+          ValueError: if the state is not n finite numbers, or time is not finite, negative, runs
+            backwards, or is there for some states only; then nothing has changed. If nothing that
+            the prior allows is left.
+        """
+        values = self._checked(state)
+        now, is_first = self._checked_time(time), not self._state
+        if not is_first and now == self._time and values == self._state:
+            assert self._last is not None
+            return self._last._replace(entered=(), flags=(REPEATED,))
+        self._array[:] = values
+        flags = self._flags(values, now, is_first)
+        last, self._state, self._time = self._state, values, now
+        self._is_timed = time is not None
+        step = min(round(now / self._problem.dt), self._problem.num_steps)
+        if is_first and LATE in flags:
+            self._base[:] = self._ahead(self._array, step)
+            self._log_ratio = self._base.astype(float)
+        new = tuple(k for k in self._steps.enter(values) if not self._entered[k])
+        if new:
+            self._entered[list(new)] = True
+        if self._problem.known and self._is_forbidden(last or values, values):
+            flags = (*flags, KNOWN)
+        if step == self._problem.num_steps:
+            log_likelihood = -self._base
+        else:
+            ahead = self._ahead(self._array, step)
+            log_likelihood = np.subtract(ahead, self._base, dtype=np.float32)
+        self._last = self._belief(log_likelihood, new, flags)
+        return self._last
+
+    def finish(self) -> Belief:
+        """Return what the demonstration tells if it ends here: what `infer` tells of it.
+
+        Raises:
+          ValueError: if nothing that the prior allows is left.
+        """
+        value = likelihood.avoiding_term(self._log_ratio, self._tolerance)
+        entering = math.log(self._tolerance) if self._tolerance else -math.inf
+        value = np.where(self._entered, entering, value)
+        value[self._impossible] = -np.inf
+        probability = posterior(value, self._prior)
+        return Belief(
+            np.isneginf(value), value, float(probability[0]), probability[1:], entered=(), flags=()
+        )
+
+    def _belief(
+        self, value: np.ndarray, entered: tuple[int, ...], flags: tuple[str, ...]
+    ) -> Belief:
+        """Return the belief by log-likelihood ratios [H] of what was not entered, nats."""
+        struck_out = self._entered | self._impossible
+        if self._tolerance:
+            value += math.log1p(-self._tolerance)
+            value[self._entered] = -np.inf
+            np.logaddexp(value, np.float32(math.log(self._tolerance)), out=value)
+            struck_out = self._impossible.copy()
+        np.copyto(value, -np.inf, where=struck_out)
+        joint = value + self._log_share
+        largest = max(float(joint.max()), self._log_none)
+        if largest == -math.inf:
+            raise ValueError(
+                "prior: the states so far rule out every hypothesis, and P(no constraint) is 0: "
+                "give it some probability, or the monitor a tolerance"
+            )
+        joint -= np.float32(largest)
+        np.exp(joint, out=joint)
+        none = math.exp(self._log_none - largest)
+        total = none + float(joint.sum())
+        joint /= np.float32(total)
+        return Belief(struck_out, value, none / total, joint, entered, flags)
+
+    def _checked(self, state: Sequence[float] | np.ndarray) -> list[float]:
+        """Return a state as n floats."""
+        names = self._problem.space.names
+        try:
+            values = [float(value) for value in state]
+        except (TypeError, ValueError):
+            values = []
+        if len(values) != len(names):
+            raise ValueError(
+                f"state: expected {len(names)} numbers ({', '.join(names)}), got {state!r}"
+            )
+        for name, value in zip(names, values, strict=True):
+            if not math.isfinite(value):
+                raise ValueError(f"state: expected finite numbers, got {name} = {value}")
+        return values
+
+    def _checked_time(self, time: float | None) -> float:
+        """Return the time of a state [s]."""
+        if self._state and self._is_timed != (time is not None):
+            given = "had a time" if self._is_timed else "had none"
+            raise ValueError(
+                f"time: expected one for every state or for none, got {time}, and the last {given}"
+            )
+        if time is None:
+            return self._time + self._problem.dt if self._state else 0.0
+        now = float(time)
+        if not (math.isfinite(now) and now >= 0.0):
+            raise ValueError(f"time: expected seconds since the start of the task, got {time}")
+        if self._state and now < self._time:
+            raise ValueError(
+                f"time: runs backwards, from {self._time:g} s to {now:g} s; the state is left out"
+            )
+        return now
+
+    def _flags(self, values: list[float], now: float, is_first: bool) -> tuple[str, ...]:
+        """Return what is odd about a state, the newest one."""
+        flags = []
+        dt = self._problem.dt
+        if is_first:
+            distance = self._problem.space.relative_distance(self._array, self._start)
+            if distance > START_TOLERANCE or now > 0.5 * dt:
+                flags.append(LATE)
+        elif now == self._time:
+            flags.append(CONFLICTING)
+        else:
+            elapsed = now - self._time
+            if elapsed > COARSE * dt:
+                flags.append(GAP)
+            if self._is_beyond_reach(values, elapsed):
+                flags.append(UNREACHABLE)
+        for value, (low, high) in zip(values, self._bounds, strict=True):
+            if not low <= value <= high:
+                flags.append(OUTSIDE)
+                break
+        if now > (self._problem.num_steps + 0.5) * dt:
+            flags.append(OVERTIME)
+        return tuple(flags)
+
+    def _is_beyond_reach(self, values: list[float], elapsed: float) -> bool:
+        """Return whether a state differs more from the last than it can in that time [s]."""
+        for value, last, (speed, slack, is_angle) in zip(
+            values, self._state, self._reach, strict=True
+        ):
+            moved = value - last
+            if is_angle:
+                moved -= TWO_PI * round(moved / TWO_PI)
+            if abs(moved) > speed * elapsed + slack:
+                return True
+        return False
+
+    def _is_forbidden(self, last: list[float], values: list[float]) -> bool:
+        """Return whether the way from the last state to this one enters a known constraint."""
+        problem, path = self._problem, np.array([last, values])
+        return any(
+            bool(violates(constraint, path, problem.space, problem.between_states))
+            for constraint in problem.known
+            if not constraint.about_actions
+        )
+
+
+def _check_foresight(evidence: Evidence, foresight: Foreseer) -> None:
+    """Raise ValueError where a foresight is none, or of another problem than the evidence."""
+    problem = evidence.problem
+    if problem.hypotheses.about_actions:
+        raise ValueError(
+            "evidence: some hypotheses are about actions, and a monitor sees states alone: leave "
+            "them out"
+        )
+    if not (hasattr(foresight, "towards") and hasattr(foresight, "fingerprint")):
+        raise ValueError(
+            "foresight: expected what swerve.foresee returns, or swerve.Rollouts(nominal), got "
+            f"{foresight!r}"
+        )
+    if foresight.fingerprint != problem.fingerprint:
+        raise ValueError(
+            "foresight: it is of another problem than the evidence, which is of "
+            f"{problem.summary}: learn it with swerve.foresee(nominal, evidence)"
+        )

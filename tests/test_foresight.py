@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from reference import CART_TASK, PENDULUM_TASK, Cart, enumerate_exactly, short_cart, short_pendulum
+from synthetic import make_evidence
+
+import swerve
+from swerve import ActionBox, Pendulum, Problem, Task
+from swerve.foresight import Foresight
+from swerve.nominal import Nominal
+from swerve.store import StoreError
+
+NEAR = [((2.5, 0.5), 0), ((3.2, 1.0), 2), ((3.6, 0.0), 4), ((4.4, 1.2), 5)]
+FAR = [((3.0, -1.5), 3), ((1.0, 2.0), 1)]  # from where nominal trajectories pass
+PLACES = NEAR + FAR
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> tuple[Nominal, swerve.Evidence, Foresight]:
+    nominal = swerve.learn(short_pendulum(), "grid?num_points=90")
+    evidence = swerve.sample(nominal, PENDULUM_TASK, 4000)
+    foresight = swerve.foresee(nominal, evidence, num_trajectories=20_000, num_updates=3000)
+    return nominal, evidence, foresight
+
+
+def exact(problem: Problem, mdp: type, settings: dict, place: tuple, goal: np.ndarray):
+    """P(avoid from here on) [H] by enumeration of what is left of the horizon."""
+    state, step = place
+    left = mdp(**settings, num_steps=problem.mdp.num_steps - step)
+    rest = dataclasses.replace(problem, mdp=left)
+    return 1.0 - enumerate_exactly(rest, np.array(state), goal).violation_probability
+
+
+def exact_pendulum(place: tuple) -> np.ndarray:
+    settings = {"max_torque": 3.0, "dt": 0.4}
+    return exact(short_pendulum(), Pendulum, settings, place, PENDULUM_TASK.goal)
+
+
+def test_learned_probabilities_are_those_of_every_sequence_that_is_left(pendulum) -> None:
+    _, _, foresight = pendulum
+    ahead = foresight.towards(PENDULUM_TASK.goal)
+    # steps of 0.4 s make the exact probability jump, which no network of this size follows
+    for places, least_mean, least_worst in ((NEAR, 0.01, 0.2), (FAR, 0.05, 0.4)):
+        expected = np.array([exact_pendulum(place) for place in places])
+        found = np.array([np.exp(ahead(np.array(state), step)) for state, step in places])
+        error = np.abs(found - expected)
+        assert error.mean() < least_mean
+        assert error.max() < least_worst
+        if places is NEAR:  # far better than telling every state the same
+            assert error.mean() < 0.1 * np.abs(expected - expected.mean(axis=0)).mean()
+
+
+def test_rollouts_tell_the_same(pendulum) -> None:
+    nominal, _, _ = pendulum
+    num = 4000
+    ahead = swerve.Rollouts(nominal, num).towards(PENDULUM_TASK.goal)
+    for state, step in PLACES:
+        expected = exact_pendulum((state, step))
+        error = np.exp(ahead(np.array(state), step)) - expected
+        assert np.abs(error).max() < 5.0 * 0.5 / num**0.5
+
+
+def test_weights_make_up_for_a_coarse_policy() -> None:
+    # with 11 nodes an axis, trajectories that all weigh alike are off by 0.07
+    nominal = swerve.learn(short_pendulum(), "grid?num_points=11")
+    ahead = swerve.Rollouts(nominal, 20_000).towards(PENDULUM_TASK.goal)
+    place = PLACES[0]
+    error = np.exp(ahead(np.array(place[0]), place[1])) - exact_pendulum(place)
+    assert np.abs(error).max() < 0.03
+
+
+def test_episodes_that_end_early() -> None:
+    problem = short_cart()
+    nominal = swerve.learn(problem, "grid?num_points=200")
+    ahead = swerve.Rollouts(nominal, 4000).towards(CART_TASK.goal)
+    for place in [((0.6, 0.3), 0), ((1.2, 0.9), 3), ((-0.4, -0.5), 5)]:
+        expected = exact(problem, Cart, {}, place, CART_TASK.goal)
+        error = np.exp(ahead(np.array(place[0]), place[1])) - expected
+        assert np.abs(error).max() < 0.05
+
+
+def test_an_ended_episode_enters_nothing_more() -> None:
+    nominal = swerve.learn(short_cart(), "grid?num_points=50")
+    ahead = swerve.Rollouts(nominal, 10).towards(CART_TASK.goal)
+    assert np.exp(ahead(np.array([1.8, 0.5]), 2)).min() > 0.9
+
+
+def test_starts_are_what_the_evidence_knows(pendulum) -> None:
+    _, evidence, foresight = pendulum
+    found = foresight.log_avoid(PENDULUM_TASK.start, np.asarray(0), PENDULUM_TASK.goal)
+    assert np.abs(np.exp(found) - np.exp(evidence.log_ratio[0])).max() < 0.03
+
+
+def test_one_state_at_a_time_is_as_many(pendulum) -> None:
+    _, _, foresight = pendulum
+    ahead = foresight.towards(PENDULUM_TASK.goal)
+    states, steps = zip(*PLACES, strict=True)
+    many = foresight.log_avoid(np.array(states), np.array(steps), PENDULUM_TASK.goal)
+    for state, step, expected in zip(states, steps, many, strict=True):
+        np.testing.assert_allclose(ahead(np.array(state), step), expected, atol=1e-4)
+
+
+def test_the_same_seed_learns_the_same(pendulum) -> None:
+    nominal, evidence, _ = pendulum
+    first, again, other = (
+        swerve.foresee(nominal, evidence, num_trajectories=256, num_updates=3, seed=seed)
+        for seed in (1, 1, 2)
+    )
+    assert all(map(np.array_equal, first.weights, again.weights))
+    assert not np.array_equal(first.weights[0], other.weights[0])
+
+
+def test_a_file_holds_it_all(pendulum, tmp_path) -> None:
+    _, evidence, foresight = pendulum
+    path = tmp_path / "a.foresight"
+    foresight.save(path)
+    loaded = Foresight.load(path, evidence.problem)
+    state = np.array([3.0, 0.2])
+    expected = foresight.towards(PENDULUM_TASK.goal)(state, 2)
+    np.testing.assert_array_equal(loaded.towards(PENDULUM_TASK.goal)(state, 2), expected)
+    with pytest.raises(StoreError, match="foresight of another problem"):
+        Foresight.load(path, make_evidence().problem)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(StoreError, match="cut short or altered"):
+        Foresight.load(path, evidence.problem)
+
+
+def test_an_unknown_goal_is_refused(pendulum) -> None:
+    _, _, foresight = pendulum
+    with pytest.raises(ValueError, match=r"learned for 1 goals, and .* is none of them"):
+        foresight.towards(np.array([1.0, 0.0]))
+
+
+def test_bad_arguments(pendulum) -> None:
+    nominal, evidence, _ = pendulum
+    with pytest.raises(ValueError, match="nominal: expected one of a solver that is sampled"):
+        swerve.foresee(swerve.learn(short_pendulum(), "enumeration"), evidence)
+    with pytest.raises(ValueError, match="evidence is of another problem"):
+        swerve.foresee(nominal, make_evidence())
+    with pytest.raises(ValueError, match=r"evidence: expected a swerve\.Evidence"):
+        swerve.foresee(nominal, None)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="num_trajectories: expected a whole number >= 1"):
+        swerve.foresee(nominal, evidence, num_trajectories=0)
+    with pytest.raises(ValueError, match="num_updates: expected a whole number >= 1"):
+        swerve.foresee(nominal, evidence, num_updates=0)
+    with pytest.raises(ValueError, match="num_trajectories: expected a whole number >= 1"):
+        swerve.Rollouts(nominal, 0)
+    acting = dataclasses.replace(short_pendulum(), hypotheses=[ActionBox(torque=(0.5, 9.0))])
+    with pytest.raises(ValueError, match="some hypotheses of its problem are about actions"):
+        swerve.Rollouts(swerve.learn(acting, "grid?num_points=20"))
+
+
+def test_several_goals_are_told_apart() -> None:
+    nominal = swerve.learn(short_pendulum(), "grid?num_points=60")
+    goals = np.array([[4.0, -0.5], [1.5, 0.5]])
+    tasks = [Task(PENDULUM_TASK.start, goal) for goal in goals]
+    evidence = swerve.sample(nominal, tasks, 1000)
+    foresight = swerve.foresee(nominal, evidence, num_trajectories=6000, num_updates=1500)
+    here, step = np.array([2.8, 0.5]), 2
+    found = [np.exp(foresight.towards(goal)(here, step)).copy() for goal in goals]
+    rolled = [np.exp(swerve.Rollouts(nominal, 2000).towards(goal)(here, step)) for goal in goals]
+    assert np.abs(rolled[0] - rolled[1]).max() > 0.5
+    assert np.abs(np.array(found) - np.array(rolled)).max() < 0.25

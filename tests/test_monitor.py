@@ -1,0 +1,295 @@
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+from synthetic import SPACE, TASKS, make_demonstration, make_evidence, make_record
+
+from swerve import ActionBox, Box, Monitor, Predicate, Task, infer
+from swerve.evidence import Evidence
+from swerve.foresight import Ahead
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, grid, unpack
+from swerve.space import TWO_PI, StateSpace
+from swerve.stepwise import stepwise
+
+TASK = Task(TASKS.start[0], TASKS.goal[0])
+START = TASKS.start[0].tolist()
+
+
+class Known:
+    """Foresight that says log P(avoid) = -h (T - step) / 100 for hypothesis h."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.fingerprint = evidence.problem.fingerprint
+        self.num = len(evidence.problem.hypotheses)
+
+    def towards(self, goal: np.ndarray) -> Ahead:
+        return lambda state, step: -np.arange(self.num) * (5 - step) / 100.0
+
+
+def make_monitor(evidence: Evidence | None = None, **options) -> Monitor:
+    evidence = evidence or make_evidence()
+    return Monitor(evidence, TASK, Known(evidence), **options)
+
+
+def slow_evidence(**changes) -> Evidence:
+    """Evidence whose nominal trajectories change by at most 2 a second."""
+    evidence = make_evidence(**changes)
+    fastest = np.full(TASKS.start.shape, 2.0)
+    return dataclasses.replace(evidence, summary=evidence.summary._replace(fastest=fastest))
+
+
+def test_a_prefix_has_the_ratio_of_what_is_left_to_what_there_was() -> None:
+    evidence = make_evidence()
+    monitor = make_monitor(evidence)
+    belief = monitor.observe(START)
+    entered = np.zeros(12, bool)
+    entered[list(belief.entered)] = True
+    expected = -np.arange(12) * 5 / 100.0 - evidence.log_ratio[0]
+    np.testing.assert_array_equal(belief.struck_out, entered)
+    np.testing.assert_allclose(belief.log_likelihood[~entered], expected[~entered], atol=1e-5)
+    assert np.isneginf(belief.log_likelihood[entered]).all()
+    later = monitor.observe(START)
+    np.testing.assert_allclose(
+        later.log_likelihood[~entered] - belief.log_likelihood[~entered],
+        np.arange(12)[~entered] / 100.0,
+        atol=1e-5,
+    )
+    assert later.entered == ()
+
+
+def test_the_posterior_is_bayes() -> None:
+    belief = make_monitor(prior=0.25).observe(START)
+    joint = np.exp(belief.log_likelihood.astype(float)) * 0.75 / 12
+    total = 0.25 + joint.sum()
+    assert belief.none == pytest.approx(0.25 / total, rel=1e-5)
+    np.testing.assert_allclose(belief.hypotheses, joint / total, rtol=1e-4)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.1])
+@pytest.mark.parametrize("prior", [None, 0.2])
+def test_it_ends_where_inference_ends(tolerance: float, prior: float | None) -> None:
+    evidence = make_evidence()
+    demonstration = make_demonstration(x=4.0, num_states=6)
+    monitor = make_monitor(evidence, tolerance=tolerance, prior=prior)
+    last = [monitor.observe(state) for state in demonstration.states][-1]
+    expected = infer(evidence, [demonstration], tolerance=tolerance, prior=prior)
+    found = monitor.finish()
+    np.testing.assert_array_equal(found.struck_out, expected.struck_out)
+    np.testing.assert_allclose(found.log_likelihood, expected.log_likelihood)
+    np.testing.assert_allclose(found.hypotheses, expected.posterior.hypotheses)
+    assert found.none == pytest.approx(expected.posterior.none)
+    np.testing.assert_allclose(last.log_likelihood, found.log_likelihood, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(last.hypotheses, found.hypotheses, rtol=1e-4)
+
+
+def test_a_tolerance_keeps_what_was_entered() -> None:
+    belief = make_monitor(tolerance=0.1).observe(START)
+    assert belief.entered
+    assert not belief.struck_out.any()
+    assert belief.log_likelihood[belief.entered[0]] == pytest.approx(np.log(0.1), rel=1e-5)
+
+
+def test_a_late_start_is_judged_from_there_on() -> None:
+    monitor = make_monitor()
+    belief = monitor.observe([2.0, 6.0], 0.2)
+    assert belief.flags == ("late start",)
+    left = ~belief.struck_out
+    np.testing.assert_allclose(belief.log_likelihood[left], 0.0, atol=1e-6)
+    final = monitor.finish()
+    np.testing.assert_allclose(final.log_likelihood[left], 0.03 * np.arange(12)[left], atol=1e-6)
+    # at the start, but later than the task begins
+    assert make_monitor().observe(START, 0.1).flags == ("late start",)
+
+
+def test_a_state_that_comes_again_changes_nothing() -> None:
+    monitor = make_monitor()
+    first = monitor.observe(START, 0.0)
+    again = monitor.observe(START, 0.0)
+    assert again.flags == ("repeated",)
+    assert again.entered == ()
+    np.testing.assert_array_equal(first.log_likelihood, again.log_likelihood)
+
+
+def test_odd_states_are_flagged_and_the_monitor_goes_on() -> None:
+    evidence = slow_evidence()
+    monitor = make_monitor(evidence)
+    theta, x = START
+    assert monitor.observe([theta, x], 0.0).flags == ()
+    assert monitor.observe([theta, x + 0.3], 0.1).flags == ()
+    assert monitor.observe([theta, x + 0.4], 0.1).flags == ("another state at the same time",)
+    assert monitor.observe([theta, x + 0.5], 0.3).flags == ("gap",)
+    assert monitor.observe([theta, x + 6.0], 0.4).flags == ("unreachable",)
+    assert monitor.observe([theta, 10.1], 0.5).flags == ("unreachable", "outside the bounds")
+    assert monitor.observe([theta + TWO_PI, 10.0], 0.6).flags == ("past the horizon",)
+
+
+def test_a_known_constraint_is_flagged() -> None:
+    evidence = make_evidence(make_record(known=(Box(x=(2.0, 3.0)),)))
+    monitor = make_monitor(evidence)
+    assert monitor.observe(START).flags == ()
+    assert "in a known constraint" in monitor.observe([START[0], 2.5]).flags
+
+
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        ([0.1, np.nan], "expected finite numbers, got x = nan"),
+        ([0.1, np.inf], "expected finite numbers, got x = inf"),
+        ([0.1], r"expected 2 numbers \(theta, x\), got \[0.1\]"),
+        ([0.1, 1.0, 2.0], "expected 2 numbers"),
+        (["a", 1.0], "expected 2 numbers"),
+        (None, "expected 2 numbers"),
+        (3.0, "expected 2 numbers"),
+    ],
+)
+def test_a_bad_state_changes_nothing(state, message: str) -> None:
+    monitor = make_monitor()
+    monitor.observe(START, 0.0)
+    with pytest.raises(ValueError, match=message):
+        monitor.observe(state, 0.1)
+    assert monitor.observe(START, 0.0).flags == ("repeated",)
+
+
+@pytest.mark.parametrize(
+    ("time", "message"),
+    [
+        (0.1, "runs backwards, from 0.2 s to 0.1 s"),
+        (-1.0, "expected seconds since the start of the task, got -1"),
+        (np.nan, "expected seconds since the start of the task, got nan"),
+        (None, "expected one for every state or for none, got None, and the last had a time"),
+    ],
+)
+def test_a_bad_time_changes_nothing(time: float | None, message: str) -> None:
+    monitor = make_monitor()
+    monitor.observe(START, 0.2)
+    with pytest.raises(ValueError, match=message):
+        monitor.observe([0.2, 8.0], time)
+    assert monitor.observe(START, 0.2).flags == ("repeated",)
+
+
+def test_bad_arguments() -> None:
+    evidence = make_evidence()
+    foresight = Known(evidence)
+    with pytest.raises(ValueError, match=r"evidence: expected a swerve\.Evidence"):
+        Monitor(None, TASK, foresight)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"foresight: expected what swerve\.foresee returns"):
+        Monitor(evidence, TASK, None)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="no evidence for start"):
+        Monitor(evidence, Task([5.0, 5.0], [0.0, 0.0]), foresight)
+    other = make_evidence(make_record(beta=0.7))
+    with pytest.raises(ValueError, match="foresight: it is of another problem"):
+        Monitor(other, TASK, foresight)
+    acting = make_evidence(
+        make_record(hypotheses=ConstraintHypotheses([ActionBox(u=(0.0, 1.0))] * 12))
+    )
+    with pytest.raises(ValueError, match="some hypotheses are about actions"):
+        Monitor(acting, TASK, foresight)
+    with pytest.raises(ValueError, match="tolerance: expected"):
+        make_monitor(tolerance=1.0)
+    with pytest.raises(ValueError, match="prior: expected probabilities that sum to 1"):
+        make_monitor(prior=np.full(13, 0.1))
+
+
+def test_a_prior_without_none_may_leave_nothing() -> None:
+    everything = ConstraintHypotheses([Box(x=(-5.0, 15.0))] * 12)
+    monitor = make_monitor(make_evidence(make_record(hypotheses=everything)), prior=0.0)
+    with pytest.raises(ValueError, match="rule out every hypothesis"):
+        monitor.observe(START)
+
+
+@pytest.mark.parametrize("between_states", [True, False])
+@pytest.mark.parametrize(
+    "hypotheses",
+    [
+        grid(theta=(0.0, TWO_PI, 7), x=(0.0, 9.0, 5)),
+        grid(x=(1.0, 8.0, 9), theta=(-1.0, 2.0, 4)),
+        grid(theta=(0.5, 0.5 + TWO_PI, 1)),
+        grid(x=(0.0, 10.0, 20)),
+        ConstraintHypotheses(
+            [
+                Box(theta=(1.0, 2.0)),
+                Box(x=(3.0, 4.0), theta=(5.0, 7.0)),
+                Predicate("far", lambda states: states[..., 1] > 7.0),
+            ]
+        ),
+    ],
+)
+def test_states_one_by_one_enter_what_the_whole_enters(
+    hypotheses: HypothesisSet, between_states: bool
+) -> None:
+    generator = np.random.default_rng(0)
+    for scale in (0.05, 0.3, 1.5):
+        steps = scale * generator.normal(size=(300, 2)) * [1.0, 2.0]
+        steps[:, 0] = np.clip(steps[:, 0], -2.8, 2.8)
+        states = np.array([3.0, 5.0]) + np.cumsum(steps, axis=0)
+        states[:, 1] = np.abs(states[:, 1]) % 12.0
+        if scale == 0.3:
+            states[:, 0] %= TWO_PI
+        judge = stepwise(hypotheses, SPACE, between_states)
+        entered = np.zeros(len(hypotheses), bool)
+        for k, state in enumerate(states):
+            entered[list(judge.enter(state.tolist()))] = True
+            if k % 60 == 59 or k < 3:
+                bits = hypotheses.violations(states[None, : k + 1], SPACE, between_states)[0]
+                np.testing.assert_array_equal(entered, unpack(bits, len(hypotheses)))
+
+
+@pytest.mark.parametrize("between_states", [True, False])
+def test_a_margin_leaves_the_inner_part_of_cells(between_states: bool) -> None:
+    hypotheses, margin = grid(theta=(0.0, TWO_PI, 5), x=(0.0, 9.0, 4)), {"x": 0.8, "theta": 0.2}
+    left = hypotheses.eroded(margin, SPACE)
+    generator = np.random.default_rng(3)
+    for scale in (0.1, 0.6):
+        states = np.array([3.0, 5.0]) + np.cumsum(scale * generator.normal(size=(150, 2)), axis=0)
+        states[:, 1] = np.clip(states[:, 1], -1.0, 10.0)
+        judge = stepwise(hypotheses, SPACE, between_states, margin)
+        entered = np.zeros(len(hypotheses), bool)
+        for k, state in enumerate(states):
+            entered[list(judge.enter(state.tolist()))] = True
+            if k % 30 == 29 or k < 3:
+                bits = left.violations(states[None, : k + 1], SPACE, between_states)[0]
+                np.testing.assert_array_equal(entered, unpack(bits, len(hypotheses)))
+        whole = hypotheses.violations(states[None], SPACE, between_states)[0]
+        assert unpack(whole, len(hypotheses)).sum() > entered.sum() > 0
+
+
+def test_a_tiny_negative_angle_is_a_whole_turn() -> None:
+    space = StateSpace(("theta",), ("theta",), np.array([[0.0, TWO_PI]]))
+    judge = stepwise(grid(theta=(0.0, TWO_PI, 4)), space, between_states=True)
+    for angle in (-1e-17, 0.0, 1e-17, 0.1, -0.1):
+        states = np.array([[[angle]]])
+        bits = grid(theta=(0.0, TWO_PI, 4)).violations(states, space, between_states=True)
+        fresh = stepwise(grid(theta=(0.0, TWO_PI, 4)), space, between_states=True)
+        assert list(fresh.enter([angle])) == np.flatnonzero(unpack(bits[0], 4)).tolist()
+    assert list(judge.enter([0.1])) == [0]
+    assert list(judge.enter([-0.1])) == [3]
+
+
+def test_memory_does_not_grow() -> None:
+    monitor = make_monitor()
+    states = np.random.default_rng(0).uniform([0.0, 0.0], [6.0, 9.0], (3000, 2))
+
+    def observe_all() -> None:
+        for state in states:
+            monitor.observe(state)
+
+    observe_all()
+    tracemalloc.start()
+    try:
+        observe_all()
+        before = tracemalloc.get_traced_memory()[0]
+        observe_all()
+        assert tracemalloc.get_traced_memory()[0] - before < 2000  # bytes, of 3000 states
+    finally:
+        tracemalloc.stop()
+
+
+def test_it_needs_no_jax() -> None:
+    code = "import sys, swerve; swerve.Monitor, swerve.Foresight; import swerve.watch; "
+    code += "assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
