@@ -14,7 +14,7 @@ import pytest
 from command import CONSTRAINT, ROBOT, Run
 from hypothesis import settings
 
-from swerve import cli
+from swerve import cli, cli_making
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -93,7 +93,9 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     (folder / "robot.py").write_text(ROBOT)
     (folder / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
     sys.modules.pop("neighbour", None)
-    cli.demonstrate(f"{folder}/robot.py:problem", constraint=CONSTRAINT, num=4, out=folder / "out")
+    cli_making.demonstrate(
+        f"{folder}/robot.py:problem", constraint=CONSTRAINT, num=4, out=folder / "out"
+    )
     return sorted((folder / "out").glob("demo_*.csv"))
 
 

@@ -1,0 +1,98 @@
+"""What the commands of `swerve` share: options, and the problem, files and tasks that they name."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from swerve.space import Task
+    from swerve.work import Work
+
+Problem = Annotated[
+    str,
+    Parameter(
+        help="A shipped problem with its parameters, such as 'pendulum?max_torque=10', or "
+        "path/to/file.py:name, or package.module:name."
+    ),
+]
+Tasks = Annotated[
+    Path | None,
+    Parameter(help="CSV or Parquet file with columns demo, start_STATE..., goal_STATE..."),
+]
+WorkFolder = Annotated[
+    Path | None, Parameter(help="Folder that keeps what was learned and sampled for the next call.")
+]
+SolverName = Annotated[
+    str | None,
+    Parameter(
+        help="grid, soft-value, distilled, ppo, tabular, enumeration, discrete or soft-paths, with "
+        "settings as in 'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular "
+        "where states are finitely many, grid for up to 3 states, else soft-value]"
+    ),
+]
+Samples = Annotated[
+    int | None,
+    Parameter(help="Trajectories for each task, for solvers that are sampled. [default: 10000]"),
+]
+Method = Annotated[
+    str | None,
+    Parameter(
+        help="smc, importance or plain, for solvers that are sampled. "
+        "[default: smc, but importance for ppo]"
+    ),
+]
+Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
+AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")]
+
+
+def open_work(
+    problem: str,
+    folder: Path | None,
+    solver: str | None = None,
+    seed: int | None = None,
+    method: str | None = None,
+    samples: int | None = None,
+) -> Work:
+    """Return the work on a problem, in a folder if one is named."""
+    from swerve.settings import Settings
+    from swerve.work import Work
+
+    return Work(problem, folder, Settings(solver, seed, method, samples), say=say, progress=True)
+
+
+def read_files(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[Any]:
+    """Read demonstration files as the problem wants them."""
+    from swerve.demonstrations import read_demonstrations
+
+    if not paths:
+        return []
+    record = job.record
+    return read_demonstrations(
+        paths,
+        record.space,
+        tasks=tasks,
+        goal_names=record.goal_names,
+        action_names=record.action_names,
+        goal_of=job.goal_of if tasks is None else None,
+    )
+
+
+def asked_tasks(job: Work, demonstrations: list[Any], tasks: Path | None) -> Task | None:
+    """Return the tasks of the demonstrations, or else of the file, or else None."""
+    from swerve.demonstrations import read_tasks
+    from swerve.space import Task
+
+    if demonstrations:
+        return Task.stack([demonstration.task for demonstration in demonstrations])
+    if tasks is None:
+        return None
+    return Task.stack(list(read_tasks(tasks, job.record.space, job.record.goal_names).values()))
+
+
+def say(text: str) -> None:
+    """Print a line that is no result, to stderr."""
+    print(text, file=sys.stderr)
