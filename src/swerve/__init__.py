@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from swerve.resolving import resolve
     from swerve.sampling import sample
     from swerve.selection import Pick, divergence, greedy
+    from swerve.shapes import Ball, HalfSpace, Polygon
     from swerve.solvers.discrete import Discrete
     from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from swerve.solvers.tabular import Tabular
     from swerve.space import StateSpace, Task
     from swerve.specification import load_problem
+    from swerve.state_action import StateAction
     from swerve.systems.car import Car
     from swerve.systems.double_pendulum import DoublePendulum
     from swerve.systems.gridworld import Gridworld
@@ -50,6 +52,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "ActionBox": "boxes",
+    "Ball": "shapes",
     "BetaFit": "temperature",
     "Box": "boxes",
     "Car": "systems.car",
@@ -62,16 +65,19 @@ _HOMES = {
     "Evidence": "evidence",
     "Grid": "solvers.grid",
     "Gridworld": "systems.gridworld",
+    "HalfSpace": "shapes",
     "HypothesisSet": "hypotheses",
     "Inference": "inference",
     "MDP": "mdp",
     "Nominal": "nominal",
     "PPO": "solvers.ppo",
     "Pick": "selection",
+    "Polygon": "shapes",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
     "Problem": "problem",
     "SoftValue": "solvers.soft_value",
+    "StateAction": "state_action",
     "StateSpace": "space",
     "Tabular": "solvers.tabular",
     "TabularMDP": "systems.tabular",
@@ -104,6 +110,7 @@ __all__ = [
     "MDP",
     "PPO",
     "ActionBox",
+    "Ball",
     "BetaFit",
     "Box",
     "Car",
@@ -116,14 +123,17 @@ __all__ = [
     "Evidence",
     "Grid",
     "Gridworld",
+    "HalfSpace",
     "HypothesisSet",
     "Inference",
     "Nominal",
     "Pendulum",
     "Pick",
+    "Polygon",
     "Predicate",
     "Problem",
     "SoftValue",
+    "StateAction",
     "StateSpace",
     "Tabular",
     "TabularMDP",
