@@ -25,11 +25,13 @@ if TYPE_CHECKING:
     from swerve.inference import Inference, infer
     from swerve.mdp import MDP, rk4
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
+    from swerve.plots import plot_posterior
     from swerve.problem import Problem
     from swerve.resolving import resolve
     from swerve.sampling import sample
     from swerve.selection import Pick, divergence, greedy
     from swerve.shapes import Ball, HalfSpace, Polygon
+    from swerve.sliding import windows
     from swerve.solvers.discrete import Discrete
     from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
@@ -46,7 +48,6 @@ if TYPE_CHECKING:
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.temperature import BetaFit, fit_beta
-    from swerve.windows import windows
 
 __version__ = "0.1.0"
 
@@ -97,12 +98,13 @@ _HOMES = {
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
     "plot_contributions": "belief_plots",
+    "plot_posterior": "plots",
     "rk4": "mdp",
     "resolve": "resolving",
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
-    "windows": "windows",
+    "windows": "sliding",
     "write_demonstrations": "demonstrations",
 }
 
@@ -151,6 +153,7 @@ __all__ = [
     "load_nominal",
     "load_problem",
     "plot_contributions",
+    "plot_posterior",
     "read_demonstrations",
     "read_tasks",
     "resolve",

@@ -343,7 +343,7 @@ def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
     if data["kind"] == "grid":
         return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
     if data["kind"] == "windows":
-        from swerve.windows import windows
+        from swerve.sliding import windows
 
         return windows(data["overlap"], **data["axes"])
     return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
