@@ -71,6 +71,7 @@ class Shading(NamedTuple):
       outlined: hypotheses with an outline, the first one heavily.
       labels: of the first one, and of the others.
       text: says the value of a hypothesis.
+      is_set: whether those outlined are one answer together.
     """
 
     values: np.ndarray
@@ -79,6 +80,7 @@ class Shading(NamedTuple):
     outlined: np.ndarray
     labels: tuple[str, str]
     text: Callable[[int], str]
+    is_set: bool
 
 
 def plot_inference(
@@ -212,11 +214,11 @@ def _size(plane: Plane, width: float) -> tuple[float, float]:
 def _draw_values(axes: Axes, inference: Inference, shading: Shading, plane: Plane) -> list[str]:
     """Shade the hypotheses that are left, hatch those struck out; return notes for the reader."""
     hypotheses, values = inference.evidence.problem.hypotheses, shading.values
-    if isinstance(hypotheses, WindowHypotheses):
-        struck_out, notes = _draw_grid(axes, *hypotheses.best_of_cells(values), shading, plane)
-        notes.append("Each point shows the best of the windows that cover it.")
-    elif isinstance(hypotheses, GridHypotheses):
-        struck_out, notes = _draw_grid(axes, hypotheses, values, shading, plane)
+    cells = _cells(hypotheses, values)
+    if cells is not None:
+        struck_out, notes = _draw_grid(axes, *cells, shading, plane)
+        if isinstance(hypotheses, WindowHypotheses):
+            notes.append("Each point shows the best of the windows that cover it.")
     else:
         struck_out, notes = _draw_list(axes, hypotheses, shading, plane)
     if len(struck_out):
@@ -227,14 +229,31 @@ def _draw_values(axes: Axes, inference: Inference, shading: Shading, plane: Plan
     return notes
 
 
-def _draw_grid(
-    axes: Axes, grid: GridHypotheses, values: np.ndarray, shading: Shading, plane: Plane
-) -> tuple[list[np.ndarray], list[str]]:
-    """Shade the cells of a grid by values [F]; return the outlines struck out and notes."""
+def _cells(
+    hypotheses: HypothesisSet, values: np.ndarray
+) -> tuple[GridHypotheses, np.ndarray] | None:
+    """Return the cells of a grid or of windows and the best value of each; None for a list."""
+    if isinstance(hypotheses, WindowHypotheses):
+        return hypotheses.best_of_cells(values)
+    return (hypotheses, values) if isinstance(hypotheses, GridHypotheses) else None
+
+
+def _image(
+    grid: GridHypotheses, values: np.ndarray, plane: Plane
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the best of the values [F] at each place of the plane, and the lines between."""
     score = values.reshape(grid.shape)
     image = score.max(axis=tuple(range(2, score.ndim))).T if score.ndim > 1 else score[:, None]
     edges = [np.linspace(low, high, count + 1) for low, high, count in grid.axes.values()][:2]
     x, y = edges if len(edges) > 1 else (plane.limits[0], *edges)
+    return image, x, y
+
+
+def _draw_grid(
+    axes: Axes, grid: GridHypotheses, values: np.ndarray, shading: Shading, plane: Plane
+) -> tuple[list[np.ndarray], list[str]]:
+    """Shade the cells of a grid by values [F]; return the outlines struck out and notes."""
+    image, x, y = _image(grid, values, plane)
     is_out = np.isneginf(image)
     few = max(image.shape) <= MAX_RULED
     ruled: dict[str, Any] = {"edgecolors": "white", "linewidth": 0.5} if few else {}
@@ -266,11 +285,22 @@ def _draw_list(
 
 
 def _draw_outlined(axes: Axes, inference: Inference, shading: Shading, plane: Plane) -> list[str]:
-    """Outline some hypotheses, the best one heavily and on top."""
-    shown = shading.outlined[:NUM_OUTLINED].tolist()
+    """Outline some hypotheses, the best one heavily and on top.
+
+    Many that overlap, or that are a set rather than each its own answer, have one outline together.
+    """
+    hypotheses = inference.evidence.problem.hypotheses
+    together = np.full(len(hypotheses), -np.inf)
+    together[shading.outlined] = 0.0
+    cells = _cells(hypotheses, together)
+    is_region = cells is not None and len(shading.outlined) > 1
+    is_region &= shading.is_set or isinstance(hypotheses, WindowHypotheses)
+    if is_region and cells is not None:
+        _draw_region(axes, *_image(*cells, plane), shading.labels[1])
+    shown = shading.outlined[: 1 if is_region else NUM_OUTLINED].tolist()
     for index in shown:
         is_best = index == shown[0]
-        outlines = plane.outlines(inference.evidence.problem.hypotheses.constraint(index))
+        outlines = plane.outlines(hypotheses.constraint(index))
         if not outlines:
             continue
         colour = COLOURS(shading.norm(shading.values[index]))
@@ -281,8 +311,21 @@ def _draw_outlined(axes: Axes, inference: Inference, shading: Shading, plane: Pl
         patch.set(path_effects=[*edge, top])
         patch.set(edgecolor=INK, linewidth=0, label=shading.labels[not is_best])
         axes.add_patch(patch)
-    more = len(shading.outlined) - len(shown)
+    more = 0 if is_region else len(shading.outlined) - len(shown)
     return [f"{more} more are {shading.labels[1]} and not outlined."] if more else []
+
+
+def _draw_region(axes: Axes, image: np.ndarray, x: np.ndarray, y: np.ndarray, label: str) -> None:
+    """Outline the cells of an image that are not -inf, along their common edge."""
+    inside = np.pad(np.isfinite(image), 1)
+    row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    upright = [[(x[c], y[r]), (x[c], y[r + 1])] for r, c in zip(row, column, strict=True)]
+    row, column = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    level = [[(x[c], y[r]), (x[c + 1], y[r])] for r, c in zip(row, column, strict=True)]
+    lines = LineCollection([*upright, *level], color=INK, linewidth=1.8, label=label)
+    lines.set(path_effects=[Stroke(linewidth=3.6, foreground="white"), Normal()])
+    lines.set(capstyle="projecting", clip_on=False, zorder=1.5)
+    axes.add_collection(lines, autolim=False)
 
 
 def _draw_known(axes: Axes, inference: Inference, plane: Plane) -> None:
@@ -401,6 +444,7 @@ def _by_score(inference: Inference) -> Shading:
         inference.leaders,
         ("ranked first", "tied with it"),
         partial(wording.score, inference),
+        is_set=False,
     )
 
 
@@ -409,7 +453,7 @@ def _by_posterior(inference: Inference) -> Shading:
     found = inference.posterior
     values = np.where(inference.struck_out, -np.inf, found.hypotheses)
 
-    def score(index: int) -> str:
+    def text(index: int) -> str:
         return wording.probability(found.hypotheses[index], found.error[index])
 
     return Shading(
@@ -418,7 +462,8 @@ def _by_posterior(inference: Inference) -> Shading:
         "posterior probability",
         inference.credible_set().hypotheses,
         ("most probable", "in the 95 % credible set"),
-        score,
+        text,
+        is_set=True,
     )
 
 
