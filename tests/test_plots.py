@@ -396,7 +396,7 @@ class TestShapes:
             StateAction(Ball(0.8, theta=2.2, x=4.0), ActionBox(torque=(0.0, 1.0))),
         ]
         plane = plane_of(make_record(hypotheses=CELLS), [])
-        points = np.random.default_rng(0).uniform(*plane.limits.T, (1500, 2))
+        points = np.random.default_rng(0).uniform(plane.limits[:, 0], plane.limits[:, 1], (1500, 2))
         states = np.zeros((1500, 2))
         for k, name in enumerate(plane.names):
             states[:, SPACE.column(name)] = points[:, k]
@@ -422,7 +422,7 @@ class TestShapes:
         result = inference_of(made)
         (mesh,) = [c for c in axes_of(plot_inference(result)).collections if type(c) is QuadMesh]
         shown = np.ma.masked_array(mesh.get_array())
-        corner = mesh.get_coordinates()
+        corner = np.asarray(mesh.get_coordinates(), float)
         middles = 0.5 * (corner[1:, 1:] + corner[:-1, :-1])
         inside = [made.constraint(k).contains(middles, SPACE) for k in range(len(made))]
         expected = np.where(inside, result.score[:, None, None], -np.inf).max(axis=0)
