@@ -20,9 +20,9 @@ from swerve.posterior import posterior
 from swerve.reproduce import human_beta, human_walk, human_walk_figures
 from swerve.reproduce.human_tracks import read_room, read_tracks
 from swerve.reproduce.human_walk import Result
+from swerve.sliding import windows
 from swerve.solvers.soft_paths import SoftPaths
 from swerve.space import Task
-from swerve.windows import windows
 
 SIDE, CELL, CORNER = 6.0, 0.05, (-1.0, 2.0)  # m
 BETA = 11.0

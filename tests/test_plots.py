@@ -25,14 +25,17 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import Gridworld, Problem, learn, plots, sample
-from swerve.boxes import Box
+from swerve import Gridworld, Problem, learn, plots, polygons, sample, windows
+from swerve.boxes import ActionBox, Box
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
 from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json, grid
 from swerve.inference import Inference, infer
-from swerve.plots import plot_inference, plot_ranking
+from swerve.plane import plane_of
+from swerve.plots import plot_inference, plot_posterior, plot_ranking
+from swerve.shapes import Ball, HalfSpace
 from swerve.space import TWO_PI, Task
+from swerve.state_action import StateAction
 
 CELLS = grid(theta=(0.0, TWO_PI, 4), x=(0.0, 9.0, 3))
 
@@ -381,3 +384,75 @@ class TestFiles:
             check=True,
             env=os.environ | {"PYTHONPATH": paths, "MPLBACKEND": "qtagg"},
         )
+
+
+class TestShapes:
+    def test_outlines_are_those_of_the_shapes(self) -> None:
+        """Where points are inside the constraint they are inside what is drawn, wraps included."""
+        shapes = [
+            Ball(1.0, theta=6.1, x=5.0),
+            Ball(1.2, x=7.0),
+            HalfSpace(8.0, x=1.0),
+            StateAction(Ball(0.8, theta=2.2, x=4.0), ActionBox(torque=(0.0, 1.0))),
+        ]
+        plane = plane_of(make_record(hypotheses=CELLS), [])
+        points = np.random.default_rng(0).uniform(plane.limits[:, 0], plane.limits[:, 1], (1500, 2))
+        states = np.zeros((1500, 2))
+        for k, name in enumerate(plane.names):
+            states[:, SPACE.column(name)] = points[:, k]
+        for shape in shapes:
+            drawn = np.zeros(1500, bool)
+            for outline in plane.outlines(shape):
+                drawn |= polygons.encloses(outline, points[:, 0], points[:, 1])
+            judged = shape.states if isinstance(shape, StateAction) else shape
+            inside = judged.contains(states, SPACE)
+            assert (drawn != inside).mean() < 0.003, shape.name
+            assert 0.02 < inside.mean() < 0.9
+
+    def test_what_is_left_covers_what_is_struck_out(self) -> None:
+        listed = [Ball(0.8, theta=2.2, x=4.0), HalfSpace(8.0, x=1.0)]
+        axes = axes_of(plot_inference(inference_of(ConstraintHypotheses(listed))))
+        (shades,) = [c for c in axes.collections if type(c) is PolyCollection]
+        (hatched,) = patches(axes, "struck out")
+        assert hatched.get_zorder() < shades.get_zorder()
+
+    @pytest.mark.parametrize("low", [0.0, 0.5])
+    def test_windows_show_the_best_that_covers_a_point(self, low: float) -> None:
+        made = windows(3, theta=(low, TWO_PI + 0.5 * low, TWO_PI / 5), x=(0.0, 9.0, 2.0))
+        result = inference_of(made)
+        (mesh,) = [c for c in axes_of(plot_inference(result)).collections if type(c) is QuadMesh]
+        shown = np.ma.masked_array(mesh.get_array())
+        corner = np.asarray(mesh.get_coordinates(), float)
+        middles = 0.5 * (corner[1:, 1:] + corner[:-1, :-1])
+        inside = [made.constraint(k).contains(middles, SPACE) for k in range(len(made))]
+        expected = np.where(inside, result.score[:, None, None], -np.inf).max(axis=0)
+        np.testing.assert_array_equal(np.ma.filled(shown, -np.inf), expected)
+        assert np.isneginf(expected).any()
+
+
+class TestPosterior:
+    def test_shows_probabilities_and_says_that_of_none(self, tmp_path: Path) -> None:
+        result = inference_of()
+        figure = plot_posterior(result, tmp_path / "posterior.png")
+        assert (tmp_path / "posterior.png").stat().st_size > 10_000
+        axes = axes_of(figure)
+        (mesh,) = [c for c in axes.collections if type(c) is QuadMesh]
+        shown = np.ma.masked_array(mesh.get_array())
+        expected = result.posterior.hypotheses.reshape(CELLS.shape).T
+        np.testing.assert_array_equal(shown.compressed(), expected[~np.ma.getmaskarray(shown)])
+        assert " ".join(texts(figure).split()).startswith(result.belief)
+        assert figure.axes[1].get_ylabel() == "posterior probability"
+
+    def test_the_credible_set_has_one_outline(self) -> None:
+        result = inference_of()
+        axes = axes_of(plot_posterior(result))
+        chosen = result.credible_set().hypotheses
+        (lines,) = [c for c in axes.collections if "credible" in str(c.get_label())]
+        outlined = np.zeros(CELLS.shape, bool)
+        outlined.reshape(-1)[chosen] = True
+        padded = np.pad(outlined, 1)
+        num_sides = sum(int((np.diff(padded.astype(int), axis=k) != 0).sum()) for k in (0, 1))
+        assert isinstance(lines, LineCollection)
+        assert len(lines.get_segments()) == num_sides
+        (best,) = patches(axes, "most probable")
+        np.testing.assert_allclose(extents(best), sides(CELLS.constraint(int(chosen[0]))))

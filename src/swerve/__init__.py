@@ -30,11 +30,14 @@ if TYPE_CHECKING:
     from swerve.nominal import Nominal, learn, load_nominal, save_nominal
     from swerve.occupancy import Occupancy
     from swerve.pairs import Pair, best_pair
+    from swerve.plots import plot_posterior
     from swerve.problem import Problem
     from swerve.resolving import resolve
     from swerve.rewards import divergence
     from swerve.sampling import sample
     from swerve.selection import Pick, greedy
+    from swerve.shapes import Ball, HalfSpace, Polygon
+    from swerve.sliding import windows
     from swerve.solvers.discrete import Discrete
     from swerve.solvers.distilled import Distilled
     from swerve.solvers.enumeration import Enumeration
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
     from swerve.solvers.tabular import Tabular
     from swerve.space import StateSpace, Task
     from swerve.specification import load_problem
+    from swerve.state_action import StateAction
     from swerve.systems.car import Car
     from swerve.systems.double_pendulum import DoublePendulum
     from swerve.systems.gridworld import Gridworld
@@ -52,12 +56,12 @@ if TYPE_CHECKING:
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.systems.walker import Walker
     from swerve.temperature import BetaFit, fit_beta
-    from swerve.windows import windows
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "ActionBox": "boxes",
+    "Ball": "shapes",
     "BetaFit": "temperature",
     "Box": "boxes",
     "Car": "systems.car",
@@ -71,6 +75,7 @@ _HOMES = {
     "Foresight": "foresight",
     "Grid": "solvers.grid",
     "Gridworld": "systems.gridworld",
+    "HalfSpace": "shapes",
     "HypothesisSet": "hypotheses",
     "Inference": "inference",
     "MDP": "mdp",
@@ -80,12 +85,14 @@ _HOMES = {
     "PPO": "solvers.ppo",
     "Pair": "pairs",
     "Pick": "selection",
+    "Polygon": "shapes",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints",
     "Problem": "problem",
     "SoftPaths": "solvers.soft_paths",
     "Rollouts": "foresight_training",
     "SoftValue": "solvers.soft_value",
+    "StateAction": "state_action",
     "StateSpace": "space",
     "Tabular": "solvers.tabular",
     "TabularMDP": "systems.tabular",
@@ -108,12 +115,13 @@ _HOMES = {
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
     "plot_contributions": "belief_plots",
+    "plot_posterior": "plots",
     "rk4": "mdp",
     "resolve": "resolving",
     "sample": "sampling",
     "tabular": "systems.tabular",
     "save_nominal": "nominal",
-    "windows": "windows",
+    "windows": "sliding",
     "write_demonstrations": "demonstrations",
 }
 
@@ -121,6 +129,7 @@ __all__ = [
     "MDP",
     "PPO",
     "ActionBox",
+    "Ball",
     "BetaFit",
     "Box",
     "Car",
@@ -134,6 +143,7 @@ __all__ = [
     "Foresight",
     "Grid",
     "Gridworld",
+    "HalfSpace",
     "HypothesisSet",
     "Inference",
     "Monitor",
@@ -142,11 +152,13 @@ __all__ = [
     "Pair",
     "Pendulum",
     "Pick",
+    "Polygon",
     "Predicate",
     "Problem",
     "Rollouts",
     "SoftPaths",
     "SoftValue",
+    "StateAction",
     "StateSpace",
     "Tabular",
     "TabularMDP",
@@ -167,6 +179,7 @@ __all__ = [
     "load_nominal",
     "load_problem",
     "plot_contributions",
+    "plot_posterior",
     "read_demonstrations",
     "read_tasks",
     "resolve",

@@ -9,12 +9,15 @@ import itertools
 import keyword
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swerve.constraints import Constraint, nowhere
 from swerve.space import TWO_PI, Actions, StateSpace
+
+if TYPE_CHECKING:
+    from swerve.mdp import MDP
 
 
 class Box(Constraint):
@@ -35,12 +38,17 @@ class Box(Constraint):
 
     def __repr__(self) -> str:
         """Return Python that makes this box again, to the last digit."""
-        return _call("Box", self.intervals)
+        return call("Box", [], _sides(self.intervals))
 
     @property
     def name(self) -> str:
         """For example 'theta [3.14, 3.77), omega [0, 1.2)'."""
         return _intervals_name(self.intervals)
+
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """Its intervals."""
+        return self.intervals
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where a name is unknown or an angle interval exceeds a full turn."""
@@ -123,7 +131,7 @@ class ActionBox(Constraint):
 
     def __repr__(self) -> str:
         """Return Python that makes this box again, to the last digit."""
-        return _call("ActionBox", self.intervals)
+        return call("ActionBox", [], _sides(self.intervals))
 
     @property
     def name(self) -> str:
@@ -154,6 +162,11 @@ class ActionBox(Constraint):
             inside = inside & (low <= value) & (value < high)
         return inside
 
+    def among(self, mdp: MDP) -> np.ndarray:
+        """Return [A] which of the discretised actions of an MDP it forbids."""
+        table = np.asarray(mdp.actions, float)
+        return np.asarray(self.forbids(Actions(tuple(mdp.action_names), table)))
+
     def eroded(self, margin: Mapping[str, float]) -> ActionBox:
         """Return itself: the margin is about states."""
         del margin
@@ -174,7 +187,7 @@ def interval_distance(values: np.ndarray, low: Any, high: Any, is_angle: bool) -
 
 def interval_name(name: str, low: float, high: float) -> str:
     """Return for example 'theta [3.14, 3.77)'."""
-    return f"{name} [{_short(low)}, {_short(high)})"
+    return f"{name} [{short(low)}, {short(high)})"
 
 
 def _intervals_name(intervals: dict[str, tuple[float, float]]) -> str:
@@ -197,15 +210,25 @@ def _checked_intervals(
     return checked
 
 
-def _call(kind: str, intervals: dict[str, tuple[float, float]]) -> str:
-    """Return Python that makes a box."""
-    sides = {
+def call(kind: str, arguments: Sequence[str], named: Mapping[str, str]) -> str:
+    """Return Python that makes a constraint, from the Python of its arguments."""
+    if all(name.isidentifier() and not keyword.iskeyword(name) for name in named):
+        return f"{kind}({', '.join([*arguments, *(f'{k}={v}' for k, v in named.items())])})"
+    pairs = ", ".join(f"{name!r}: {value}" for name, value in named.items())
+    return f"{kind}({', '.join([*arguments, f'**{{{pairs}}}'])})"
+
+
+def short(value: float) -> str:
+    """Return a number with three digits, 0 without a sign."""
+    return f"{value:.3g}" if value != 0 else "0"
+
+
+def _sides(intervals: dict[str, tuple[float, float]]) -> dict[str, str]:
+    """Return the Python of intervals."""
+    return {
         name: f"({', '.join(_literal(value) for value in interval)})"
         for name, interval in intervals.items()
     }
-    if all(name.isidentifier() and not keyword.iskeyword(name) for name in sides):
-        return f"{kind}({', '.join(f'{name}={side}' for name, side in sides.items())})"
-    return f"{kind}(**{{{', '.join(f'{name!r}: {side}' for name, side in sides.items())}}})"
 
 
 def _finite_intervals(intervals: dict[str, tuple[float, float]]) -> dict[str, list[float | None]]:
@@ -213,10 +236,6 @@ def _finite_intervals(intervals: dict[str, tuple[float, float]]) -> dict[str, li
         name: [value if math.isfinite(value) else None for value in interval]
         for name, interval in intervals.items()
     }
-
-
-def _short(value: float) -> str:
-    return f"{value:.3g}" if value != 0 else "0"
 
 
 def _literal(value: float) -> str:

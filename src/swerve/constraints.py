@@ -54,9 +54,19 @@ class Constraint(ABC):
     def to_json(self) -> dict[str, Any]:
         """Return JSON data from which `constraint_from_json` rebuilds it."""
 
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """For each state that it names an interval that it lies in, open sides +-inf."""
+        return {}
+
     def forbids(self, actions: Actions) -> Any:
-        """Return [...] True where an action lies in the set; nowhere unless overridden."""
+        """Return [...] True where an action is forbidden everywhere; none unless overridden."""
         return nowhere(actions.values)
+
+    def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
+        """Return [...] True where an action begun in a state [..., n] lies in the set."""
+        del states, space
+        return self.forbids(actions)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the distance [...] from states [..., n] to the set, 0 inside.
@@ -132,6 +142,16 @@ class Union(Constraint):
         for part in self._constraints:
             part.check(space, action_names)
 
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """For each state that a part names an interval that holds those of the parts."""
+        found: dict[str, tuple[float, float]] = {}
+        for part in self._constraints:
+            for name, (low, high) in part.spans.items():
+                first, last = found.get(name, (low, high))
+                found[name] = (min(first, low), max(last, high))
+        return found
+
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state lies in one of the parts."""
         return _any(part.contains(states, space) for part in self._constraints)
@@ -143,6 +163,10 @@ class Union(Constraint):
     def forbids(self, actions: Actions) -> Any:
         """Return [...] True where an action lies in one of the parts."""
         return _any(part.forbids(actions) for part in self._constraints)
+
+    def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
+        """Return [...] True where an action begun in a state lies in one of the parts."""
+        return _any(part.forbids_in(states, actions, space) for part in self._constraints)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the distance [...] of states to the nearest of the parts."""
@@ -277,4 +301,4 @@ def violates(
     if not constraint.about_actions:
         return hit
     assert actions is not None
-    return hit | constraint.forbids(actions).any(axis=-1)
+    return hit | constraint.forbids_in(states[..., :-1, :], actions, space).any(axis=-1)

@@ -21,17 +21,10 @@ from typing import Any
 import numpy as np
 
 from swerve.arguments import whole_number
-from swerve.boxes import ActionBox, Box, interval_distance
-from swerve.constraints import (
-    Constraint,
-    Predicate,
-    Union,
-    check_constraints,
-    missing_function,
-    violates,
-)
+from swerve.boxes import Box, interval_distance
+from swerve.constraint_data import constraint_from_json
+from swerve.constraints import Constraint, check_constraints, violates
 from swerve.grid_axis import GridAxis
-from swerve.occupancy import Occupancy
 from swerve.space import Actions, StateSpace
 
 BLOCK = 1 << 16  # states judged at once: what is worked out for them stays in cache
@@ -267,10 +260,8 @@ class ConstraintHypotheses(HypothesisSet):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The states that boxes name, in order of first mention."""
-        parts = (part for c in self.constraints for part in c.parts)
-        boxes = (part for part in parts if isinstance(part, Box))
-        return tuple(dict.fromkeys(name for box in boxes for name in box.intervals))
+        """The states that constraints name, in order of first mention."""
+        return tuple(dict.fromkeys(name for c in self.constraints for name in c.spans))
 
     @property
     def needs_code(self) -> bool:
@@ -352,28 +343,10 @@ def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
     if data["kind"] == "grid":
         return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
     if data["kind"] == "windows":
-        from swerve.windows import windows
+        from swerve.sliding import windows
 
         return windows(data["overlap"], **data["axes"])
     return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
-
-
-def constraint_from_json(data: dict[str, Any]) -> Constraint:
-    """Rebuild a constraint from `to_json` data; a predicate comes back without its function."""
-    if data["kind"] == "union":
-        parts = [constraint_from_json(part) for part in data["constraints"]]
-        return Union(data["name"], parts)
-    if data["kind"] in ("box", "action_box"):
-        kind = Box if data["kind"] == "box" else ActionBox
-        return kind(
-            **{
-                name: (-math.inf if low is None else low, math.inf if high is None else high)
-                for name, (low, high) in data["intervals"].items()
-            }
-        )
-    if data["kind"] == "occupancy":
-        return Occupancy.from_json(data)
-    return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
 
 
 def unpack(bits: np.ndarray, num_hypotheses: int) -> np.ndarray:

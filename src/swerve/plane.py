@@ -17,17 +17,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swerve import polygons
 from swerve.boxes import Box
 from swerve.constraints import Constraint, Union
 from swerve.hypotheses import ConstraintHypotheses, GridHypotheses, HypothesisSet
 from swerve.inference import Inference
 from swerve.problem import ProblemRecord
+from swerve.shapes import Ball, HalfSpace, Polygon
+from swerve.sliding import WindowHypotheses
 from swerve.space import TWO_PI, StateSpace
+from swerve.state_action import StateAction
 
 TIME = ""
 RASTER = 360  # points a side at which constraints other than boxes are evaluated
 MARGIN = 0.02  # of the range, around paths that leave the hypotheses behind
 ROUNDING = 1e-9
+ROUND = 120  # corners with which a ball is drawn
+CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
 MAX_IMAGES = 4  # rectangles of a box, which two angles may cut
 DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)])
 EVERYTHING = (-math.inf, math.inf)
@@ -96,6 +102,41 @@ class Plane:
             pieces += [piece, np.full((1, 2), np.nan)]
         return np.concatenate(pieces[:-1])
 
+    def outlines(self, constraint: Constraint) -> list[np.ndarray]:
+        """Return polygons, each [V, 2], that show a constraint within the limits.
+
+        Balls, polygons and half-spaces have their own outlines, others those of `rectangles`.
+        Constraints on actions in some states are shown as these states.
+        """
+        if isinstance(constraint, StateAction):
+            return self.outlines(constraint.states)
+        if isinstance(constraint, Union):
+            return [outline for part in constraint.parts for outline in self.outlines(part)]
+        shown = self._shape(constraint)
+        if shown is None:
+            return list(corners(self.rectangles(constraint)))
+        images = [(-TWO_PI, 0.0, TWO_PI) if wraps else (0.0,) for wraps in ~np.isnan(self.turns)]
+        moved = (self.wrapped(shown.mean(axis=0)) - shown.mean(axis=0)) + shown
+        parts = [polygons.clipped(moved + k, self.limits) for k in itertools.product(*images)]
+        return [part for part in parts if len(part) > 2]
+
+    def _shape(self, constraint: Constraint) -> np.ndarray | None:
+        """Return the outline [V, 2] of a shape before it is clipped; None for what has none."""
+        drawn = [name for name in self.names if name in constraint.spans]
+        if isinstance(constraint, Ball) and len(drawn) == 2:
+            angle = np.linspace(0.0, TWO_PI, ROUND, endpoint=False)
+            circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            return (
+                np.array([constraint.centre[name] for name in drawn]) + constraint.radius * circle
+            )
+        if isinstance(constraint, Polygon) and len(drawn) == 2 and not constraint.depth:
+            return constraint.vertices[:, [constraint.names.index(name) for name in drawn]]
+        if isinstance(constraint, HalfSpace) and 0 < len(drawn) == len(constraint.normal):
+            normal = np.array([constraint.normal.get(name, 0.0) for name in self.names])
+            picture = corners(self.limits.reshape(1, 4))[0]
+            return polygons.cut_off(picture, normal, constraint.offset)
+        return None
+
     def rectangles(self, constraint: Constraint) -> np.ndarray:
         """Return [R, 4] rectangles (x low, x high, y low, y high) that show a constraint.
 
@@ -105,6 +146,13 @@ class Plane:
         """
         if isinstance(constraint, Union):
             return np.concatenate([self.rectangles(part) for part in constraint.parts])
+        if isinstance(constraint, StateAction):
+            return self.rectangles(constraint.states)
+        if (
+            isinstance(constraint, Ball | Polygon)
+            and len(set(self.names) & set(constraint.spans)) < 2
+        ):
+            return self.rectangles(Box(**constraint.spans))
         if not isinstance(constraint, Box):
             return self._raster(constraint)
         if not set(self.names) & set(constraint.intervals):
@@ -185,6 +233,11 @@ def plane_of(problem: ProblemRecord, paths: Sequence[Path]) -> Plane:
     return Plane(space, names, has_times, np.array(turns), np.array(limits))
 
 
+def corners(rectangles: np.ndarray) -> np.ndarray:
+    """Return the corners [R, 4, 2] of rectangles [R, 4]."""
+    return rectangles[:, CORNERS]
+
+
 def runs(mask: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return [R, 4] rectangles that cover the True cells of a mask [len(y) - 1, len(x) - 1].
 
@@ -221,7 +274,7 @@ def _axis(
         return math.nan, (0.0, float(values.max(initial=0.0)) or 1.0)
     bounds = space.bounds[space.column(name)]
     intervals = _intervals(hypotheses, name)
-    is_grid = isinstance(hypotheses, GridHypotheses)
+    is_grid = isinstance(hypotheses, GridHypotheses | WindowHypotheses)
     if not is_grid and name not in space.angles:
         intervals = np.clip(intervals, *bounds)
     if hypotheses.needs_code or not len(intervals):
@@ -240,12 +293,11 @@ def _axis(
 def _intervals(hypotheses: HypothesisSet, name: str) -> np.ndarray:
     """Return [R, 2] the intervals of a state that hypotheses name."""
     found: list[tuple[float, float]] = []
-    if isinstance(hypotheses, GridHypotheses):
+    if isinstance(hypotheses, GridHypotheses | WindowHypotheses):
         found = [hypotheses.axes[name][:2]] if name in hypotheses.axes else []
     elif isinstance(hypotheses, ConstraintHypotheses):
         parts = [part for constraint in hypotheses.constraints for part in constraint.parts]
-        boxes = [part for part in parts if isinstance(part, Box)]
-        found = [box.intervals[name] for box in boxes if name in box.intervals]
+        found = [part.spans[name] for part in parts if name in part.spans]
     return np.array(found).reshape(-1, 2)
 
 

@@ -10,8 +10,10 @@ Shapes: H hypotheses, R rectangles, n states.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -28,10 +30,11 @@ from swerve import plane as planes
 from swerve import wording
 from swerve.boxes import Box
 from swerve.figures import ALARM, FAINT, INK, WIDTH, headed, written
-from swerve.hypotheses import GridHypotheses
+from swerve.hypotheses import GridHypotheses, HypothesisSet
 from swerve.inference import Inference
 from swerve.plane import Plane
 from swerve.problem import ProblemRecord
+from swerve.sliding import WindowHypotheses
 
 NUM_LINES = 100  # nominal trajectories drawn, of all tasks together
 NUM_BARS = 12
@@ -39,7 +42,6 @@ NUM_OUTLINED = 100  # hypotheses of the first rank that are outlined
 MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
 MAX_WARNING = 300  # characters of a warning; the report has all of them
 NARROW = 6.0  # in; below it the colour bar goes under the picture
-CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
 DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
 
 STRUCK_OUT, HATCH, KNOWN = "#f3f3f3", "#b4b4b4", "#3c3c3c"
@@ -57,6 +59,28 @@ def _colour_map() -> LinearSegmentedColormap:
 
 
 COLOURS = _colour_map()
+
+
+class Shading(NamedTuple):
+    """What a picture shows of hypotheses.
+
+    Attributes:
+      values: [H] what they are shaded by; -inf where struck out.
+      norm: of the colours.
+      label: of the colour bar.
+      outlined: hypotheses with an outline, the first one heavily.
+      labels: of the first one, and of the others.
+      text: says the value of a hypothesis.
+      is_set: whether those outlined are one answer together.
+    """
+
+    values: np.ndarray
+    norm: Normalize
+    label: str
+    outlined: np.ndarray
+    labels: tuple[str, str]
+    text: Callable[[int], str]
+    is_set: bool
 
 
 def plot_inference(
@@ -77,24 +101,50 @@ def plot_inference(
     Raises:
       ValueError: if matplotlib knows no such format, or it is too narrow for its text.
     """
+    header = _header(inference, wording.title(inference)) if has_header else []
+    return written(_picture(inference, _by_score(inference), header, width), path)
+
+
+def plot_posterior(
+    inference: Inference, path: str | Path | None = None, *, width: float = WIDTH
+) -> Figure:
+    """Draw hypotheses shaded by posterior probability, the 95 % credible set outlined.
+
+    The header tells the probability that there is no constraint.
+
+    Args:
+      inference: what to draw.
+      path: a file to write, whose suffix tells the format, or None.
+      width: of the picture [in].
+
+    Raises:
+      ValueError: if matplotlib knows no such format, or it is too narrow for its text.
+    """
+    header = _header(inference, inference.belief)
+    return written(_picture(inference, _by_posterior(inference), header, width), path)
+
+
+def _picture(
+    inference: Inference, shading: Shading, header: list[tuple[str, float, str]], width: float
+) -> Figure:
+    """Return a picture of the plane: hypotheses shaded, what is known, and trajectories."""
     is_wide = width >= NARROW
-    header = _header(inference) if has_header else []
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
     nominal = planes.nominal_paths(inference, NUM_LINES)
     plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal])
     figure = headed(header, width, *_size(plane, width))
     axes = figure.add_subplot()
-    notes = _draw_scores(axes, inference, plane)
-    notes += _draw_leaders(axes, inference, plane)
+    notes = _draw_values(axes, inference, shading, plane)
+    notes += _draw_outlined(axes, inference, shading, plane)
     _draw_known(axes, inference, plane)
     _draw_nominal(axes, nominal, plane)
     _draw_demonstrations(axes, demonstrations, plane)
-    _annotate(axes, inference, demonstrations, plane)
+    _annotate(axes, inference, shading, demonstrations, plane)
     _finish(axes, plane, wording.wrapped(" ".join(notes), width - 1.5, 7.5))
     if len(inference.ranking):
-        _colour_bar(axes, inference, "right" if is_wide else "bottom")
+        _colour_bar(axes, shading, "right" if is_wide else "bottom")
     _legend(figure, axes, is_wide)
-    return written(figure, path)
+    return figure
 
 
 def plot_ranking(
@@ -140,10 +190,10 @@ def plot_ranking(
     return written(figure, path)
 
 
-def _header(inference: Inference) -> list[tuple[str, float, str]]:
+def _header(inference: Inference, title: str) -> list[tuple[str, float, str]]:
     warnings = [f"Warning: {wording.cut(text, MAX_WARNING)}." for text in inference.warnings]
     return [
-        (wording.title(inference), 11.5, INK),
+        (title, 11.5, INK),
         *((text, 8.0, ALARM) for text in warnings),
         (wording.settings(inference), 7.5, FAINT),
     ]
@@ -161,70 +211,121 @@ def _size(plane: Plane, width: float) -> tuple[float, float]:
     return height + below, height * x / y + beside
 
 
-def _draw_scores(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
+def _draw_values(axes: Axes, inference: Inference, shading: Shading, plane: Plane) -> list[str]:
     """Shade the hypotheses that are left, hatch those struck out; return notes for the reader."""
-    is_grid = isinstance(inference.evidence.problem.hypotheses, GridHypotheses)
-    struck_out, notes = (_draw_grid if is_grid else _draw_list)(axes, inference, plane)
+    hypotheses, values = inference.evidence.problem.hypotheses, shading.values
+    cells = _cells(hypotheses, values)
+    if cells is not None:
+        struck_out, notes = _draw_grid(axes, *cells, shading, plane)
+        if isinstance(hypotheses, WindowHypotheses):
+            notes.append("Each point shows the best of the windows that cover it.")
+    else:
+        struck_out, notes = _draw_list(axes, hypotheses, shading, plane)
     if len(struck_out):
         label = f"struck out by a demonstration ({inference.struck_out.sum()})"
         patch = _patch(struck_out, facecolor=STRUCK_OUT, edgecolor=HATCH, hatch="////", label=label)
-        patch.set(linewidth=0, hatch_linewidth=0.6)
+        patch.set(linewidth=0, hatch_linewidth=0.6, zorder=0.9)  # below what is left
         axes.add_patch(patch)
     return notes
 
 
-def _draw_grid(axes: Axes, inference: Inference, plane: Plane) -> tuple[np.ndarray, list[str]]:
-    """Shade the cells of a grid; return the rectangles struck out and notes."""
-    grid = cast(GridHypotheses, inference.evidence.problem.hypotheses)
-    score = inference.score.reshape(grid.shape)
+def _cells(
+    hypotheses: HypothesisSet, values: np.ndarray
+) -> tuple[GridHypotheses, np.ndarray] | None:
+    """Return the cells of a grid or of windows and the best value of each; None for a list."""
+    if isinstance(hypotheses, WindowHypotheses):
+        return hypotheses.best_of_cells(values)
+    return (hypotheses, values) if isinstance(hypotheses, GridHypotheses) else None
+
+
+def _image(
+    grid: GridHypotheses, values: np.ndarray, plane: Plane
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the best of the values [F] at each place of the plane, and the lines between."""
+    score = values.reshape(grid.shape)
     image = score.max(axis=tuple(range(2, score.ndim))).T if score.ndim > 1 else score[:, None]
     edges = [np.linspace(low, high, count + 1) for low, high, count in grid.axes.values()][:2]
     x, y = edges if len(edges) > 1 else (plane.limits[0], *edges)
+    return image, x, y
+
+
+def _draw_grid(
+    axes: Axes, grid: GridHypotheses, values: np.ndarray, shading: Shading, plane: Plane
+) -> tuple[list[np.ndarray], list[str]]:
+    """Shade the cells of a grid by values [F]; return the outlines struck out and notes."""
+    image, x, y = _image(grid, values, plane)
     is_out = np.isneginf(image)
     few = max(image.shape) <= MAX_RULED
     ruled: dict[str, Any] = {"edgecolors": "white", "linewidth": 0.5} if few else {}
     cells = np.ma.masked_array(image, is_out)
-    axes.pcolormesh(x, y, cells, cmap=COLOURS, norm=_norm(inference), rasterized=not few, **ruled)
+    axes.pcolormesh(x, y, cells, cmap=COLOURS, norm=shading.norm, rasterized=not few, **ruled)
     others = ", ".join(grid.state_names[2:])
     note = f"Each cell shows the best of its cells along {others}; hatched where none is left."
-    return planes.runs(is_out, x, y), [note] if others else []
+    return list(planes.corners(planes.runs(is_out, x, y))), [note] if others else []
 
 
-def _draw_list(axes: Axes, inference: Inference, plane: Plane) -> tuple[np.ndarray, list[str]]:
-    """Shade constraints, the best on top; return the rectangles struck out and notes."""
-    hypotheses = inference.evidence.problem.hypotheses
-    parts, skipped = [np.zeros((0, 5))], 0
-    for index in np.argsort(inference.score, kind="stable").tolist():
-        rectangles = plane.rectangles(hypotheses.constraint(index))
-        skipped += not len(rectangles)
-        parts.append(np.insert(rectangles, 4, inference.score[index], axis=1))
-    drawn = np.concatenate(parts)
-    left = drawn[np.isfinite(drawn[:, 4])]
-    shades = PolyCollection(list(left[:, CORNERS]), cmap=COLOURS, norm=_norm(inference))
-    shades.set(array=left[:, 4], edgecolor="face", linewidth=0.3)
-    axes.add_collection(shades, autolim=False)
+def _draw_list(
+    axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: Plane
+) -> tuple[list[np.ndarray], list[str]]:
+    """Shade constraints, the best on top; return the outlines struck out and notes."""
+    struck_out, left, shades, skipped = [], [], [], 0
+    for index in np.argsort(shading.values, kind="stable").tolist():
+        outlines = plane.outlines(hypotheses.constraint(index))
+        skipped += not outlines
+        if np.isneginf(shading.values[index]):
+            struck_out += outlines
+        else:
+            left += outlines
+            shades += [shading.values[index]] * len(outlines)
+    drawn = PolyCollection(left, cmap=COLOURS, norm=shading.norm)
+    drawn.set(array=np.array(shades), edgecolor="face", linewidth=0.3)
+    axes.add_collection(drawn, autolim=False)
     note = f"Not drawn: {skipped} hypotheses outside this picture or not of its states."
-    return drawn[np.isneginf(drawn[:, 4]), :4], [note] if skipped else []
+    return struck_out, [note] if skipped else []
 
 
-def _draw_leaders(axes: Axes, inference: Inference, plane: Plane) -> list[str]:
-    """Outline the hypotheses of the first rank, the best one heavily and on top."""
-    shown = inference.leaders[:NUM_OUTLINED].tolist()
+def _draw_outlined(axes: Axes, inference: Inference, shading: Shading, plane: Plane) -> list[str]:
+    """Outline some hypotheses, the best one heavily and on top.
+
+    Many that overlap, or that are a set rather than each its own answer, have one outline together.
+    """
+    hypotheses = inference.evidence.problem.hypotheses
+    together = np.full(len(hypotheses), -np.inf)
+    together[shading.outlined] = 0.0
+    cells = _cells(hypotheses, together)
+    is_region = cells is not None and len(shading.outlined) > 1
+    is_region &= shading.is_set or isinstance(hypotheses, WindowHypotheses)
+    if is_region and cells is not None:
+        _draw_region(axes, *_image(*cells, plane), shading.labels[1])
+    shown = shading.outlined[: 1 if is_region else NUM_OUTLINED].tolist()
     for index in shown:
         is_best = index == shown[0]
-        rectangles = plane.rectangles(inference.evidence.problem.hypotheses.constraint(index))
-        if not len(rectangles):
+        outlines = plane.outlines(hypotheses.constraint(index))
+        if not outlines:
             continue
-        colour = COLOURS(_norm(inference)(inference.score[index]))
-        patch = _patch(rectangles, facecolor=colour, clip_on=False, zorder=1.6 + 0.1 * is_best)
+        colour = COLOURS(shading.norm(shading.values[index]))
+        patch = _patch(outlines, facecolor=colour, clip_on=False, zorder=1.6 + 0.1 * is_best)
         weight = 5.0 if is_best else 2.4
         edge = [Stroke(linewidth=weight + 2, foreground="white"), Stroke(linewidth=weight)]
         top = Normal() if is_best else Stroke(linewidth=1.0, foreground="white", dashes=DASHES)
         patch.set(path_effects=[*edge, top])
-        patch.set(edgecolor=INK, linewidth=0, label="ranked first" if is_best else "tied with it")
+        patch.set(edgecolor=INK, linewidth=0, label=shading.labels[not is_best])
         axes.add_patch(patch)
-    more = len(inference.leaders) - len(shown)
-    return [f"{more} more are tied and not outlined."] if more else []
+    more = 0 if is_region else len(shading.outlined) - len(shown)
+    return [f"{more} more are {shading.labels[1]} and not outlined."] if more else []
+
+
+def _draw_region(axes: Axes, image: np.ndarray, x: np.ndarray, y: np.ndarray, label: str) -> None:
+    """Outline the cells of an image that are not -inf, along their common edge."""
+    inside = np.pad(np.isfinite(image), 1)
+    row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    upright = [[(x[c], y[r]), (x[c], y[r + 1])] for r, c in zip(row, column, strict=True)]
+    row, column = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    level = [[(x[c], y[r]), (x[c + 1], y[r])] for r, c in zip(row, column, strict=True)]
+    lines = LineCollection([*upright, *level], color=INK, linewidth=1.8, label=label)
+    lines.set(path_effects=[Stroke(linewidth=3.6, foreground="white"), Normal()])
+    lines.set(capstyle="projecting", clip_on=False, zorder=1.5)
+    axes.add_collection(lines, autolim=False)
 
 
 def _draw_known(axes: Axes, inference: Inference, plane: Plane) -> None:
@@ -234,10 +335,9 @@ def _draw_known(axes: Axes, inference: Inference, plane: Plane) -> None:
         ("known constraint", problem.known),
         ("wall", _walls(problem)),
     ):
-        parts = [plane.rectangles(constraint) for constraint in constraints]
-        rectangles = np.concatenate([np.zeros((0, 4)), *parts])
-        if len(rectangles):
-            patch = _patch(rectangles, facecolor=KNOWN, linewidth=0, label=label)
+        outlines = [part for constraint in constraints for part in plane.outlines(constraint)]
+        if outlines:
+            patch = _patch(outlines, facecolor=KNOWN, linewidth=0, label=label)
             axes.add_patch(patch)
 
 
@@ -276,17 +376,21 @@ def _draw_demonstrations(axes: Axes, paths: list[planes.Path], plane: Plane) -> 
 
 
 def _annotate(
-    axes: Axes, inference: Inference, demonstrations: list[planes.Path], plane: Plane
+    axes: Axes,
+    inference: Inference,
+    shading: Shading,
+    demonstrations: list[planes.Path],
+    plane: Plane,
 ) -> None:
-    """Write index and score beside the best hypothesis, where the fewest demonstrations pass."""
-    if not len(inference.ranking):
+    """Write index and value beside the best hypothesis, where the fewest demonstrations pass."""
+    if not len(shading.outlined):
         return
-    leaders = inference.leaders[:NUM_OUTLINED].tolist()
+    leaders = shading.outlined[:NUM_OUTLINED].tolist()
     best, constraint = leaders[0], inference.evidence.problem.hypotheses.constraint
     rectangles = plane.rectangles(constraint(best))
     if not len(rectangles):
         return
-    text = f"{wording.noun(inference)} {best}\n{wording.score(inference, best)}"
+    text = f"{wording.noun(inference)} {best}\n{shading.text(best)}"
     text = text.replace("violation ", "violation\n")
     size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # of the axes, about
     label = np.array([0.05 * max(map(len, text.split("\n"))), 0.11 * (1 + text.count("\n"))]) / size
@@ -313,12 +417,12 @@ def _finish(axes: Axes, plane: Plane, notes: str) -> None:
         axes.set_aspect("equal")
 
 
-def _colour_bar(axes: Axes, inference: Inference, location: str) -> None:
-    colours = ScalarMappable(_norm(inference), COLOURS)
+def _colour_bar(axes: Axes, shading: Shading, location: str) -> None:
+    colours = ScalarMappable(shading.norm, COLOURS)
     bar = cast(Figure, axes.figure).colorbar(
         colours, ax=axes, location=location, aspect=35, pad=0.02
     )
-    bar.set_label(wording.score_label(inference), fontsize=8.5)
+    bar.set_label(shading.label, fontsize=8.5)
     bar.ax.tick_params(labelsize=8)
 
 
@@ -330,12 +434,40 @@ def _legend(figure: Figure, axes: Axes, is_wide: bool) -> None:
     figure.legend(unique.values(), unique.keys(), loc="outside lower left", **style)
 
 
-def _norm(inference: Inference) -> Normalize:
-    return Normalize(0.0, float(inference.score[inference.ranking].max(initial=0.0)) or 1.0)
+def _by_score(inference: Inference) -> Shading:
+    """Return what `plot_inference` draws: scores, and the first rank outlined."""
+    most = float(inference.score[inference.ranking].max(initial=0.0)) or 1.0
+    return Shading(
+        inference.score,
+        Normalize(0.0, most),
+        wording.score_label(inference),
+        inference.leaders,
+        ("ranked first", "tied with it"),
+        partial(wording.score, inference),
+        is_set=False,
+    )
 
 
-def _patch(rectangles: np.ndarray, **style: Any) -> PathPatch:
-    """Return rectangles [R, 4] as one patch."""
-    vertices = rectangles[:, [*CORNERS, CORNERS[0]]].reshape(-1, 2)
-    codes = [Outline.MOVETO, *3 * [Outline.LINETO], Outline.CLOSEPOLY]
-    return PathPatch(Outline(vertices, np.tile(codes, len(rectangles))), **style)
+def _by_posterior(inference: Inference) -> Shading:
+    """Return what `plot_posterior` draws: probabilities, and the credible set outlined."""
+    found = inference.posterior
+    values = np.where(inference.struck_out, -np.inf, found.hypotheses)
+
+    def text(index: int) -> str:
+        return wording.probability(found.hypotheses[index], found.error[index])
+
+    return Shading(
+        values,
+        Normalize(0.0, float(values.max(initial=0.0)) or 1.0),
+        "posterior probability",
+        inference.credible_set().hypotheses,
+        ("most probable", "in the 95 % credible set"),
+        text,
+        is_set=True,
+    )
+
+
+def _patch(outlines: Sequence[np.ndarray], **style: Any) -> PathPatch:
+    """Return polygons, each [V, 2], as one patch."""
+    closed = [Outline(np.append(outline, outline[:1], axis=0), closed=True) for outline in outlines]
+    return PathPatch(Outline.make_compound_path(*closed), **style)

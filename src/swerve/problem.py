@@ -25,13 +25,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swerve.arguments import positive_number
+from swerve.constraint_data import constraint_from_json
 from swerve.constraints import Constraint, check_constraints
-from swerve.hypotheses import (
-    ConstraintHypotheses,
-    HypothesisSet,
-    constraint_from_json,
-    hypotheses_from_json,
-)
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
 from swerve.space import StateSpace, Transitions
 
 if TYPE_CHECKING:

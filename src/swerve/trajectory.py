@@ -85,7 +85,8 @@ def enters(
         else:
             hit = hit | constraint.contains(next_state, mdp.space)
         if action is not None and constraint.about_actions:
-            hit = hit | constraint.forbids(Actions(tuple(mdp.action_names), action))
+            taken = Actions(tuple(mdp.action_names), action)
+            hit = hit | constraint.forbids_in(state, taken, mdp.space)
     return hit
 
 

@@ -27,10 +27,10 @@ from swerve.reproduce.human_beta import CLEARANCE, FIRST, RULE, Beta, choose_bet
 from swerve.reproduce.human_tracks import Room, Tracks, read_room, read_tracks
 from swerve.sampling import sample
 from swerve.selection import Pick, greedy
+from swerve.sliding import WindowHypotheses, windows
 from swerve.solvers.soft_paths import PathNominal, SoftPaths
 from swerve.space import Task
 from swerve.systems.walker import Walker
-from swerve.windows import WindowHypotheses, windows
 
 WIDTH, OVERLAP = 0.75, 4  # m, of a square; squares that lie over each point along an axis
 MARGIN = 3  # cells of the lattice around the floor, more than the longest step

@@ -130,6 +130,23 @@ class WindowHypotheses(HypothesisSet):
             entered = np.moveaxis(together, 0, axis)
         return entered
 
+    def best_of_cells(self, values: np.ndarray) -> tuple[GridHypotheses, np.ndarray]:
+        """Return the cells that windows are made of, and the largest value [F] over each.
+
+        Args:
+          values: [H] a number for each window.
+        """
+        best = values.reshape(self.shape)
+        for axis, goes_round in enumerate(self._goes_round):
+            rows = np.moveaxis(best, axis, 0)
+            edge = np.full((self.overlap - 1, *rows.shape[1:]), -np.inf)
+            before = rows[len(rows) - self.overlap + 1 :] if goes_round else edge
+            rows = np.concatenate([before, rows] if goes_round else [edge, rows, edge])
+            num = len(rows) - self.overlap + 1
+            covering = [rows[k : k + num] for k in range(self.overlap)]
+            best = np.moveaxis(np.max(covering, axis=0), 0, axis)
+        return self._cells, best.ravel()
+
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
         axes = {name: list(axis) for name, axis in self.axes.items()}
