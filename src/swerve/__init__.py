@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from swerve.belief_plots import plot_contributions
     from swerve.boxes import ActionBox, Box
     from swerve.constraints import Constraint, Predicate, Union
+    from swerve.course import Course, follow
+    from swerve.course_plots import animate_course, plot_course
     from swerve.demonstrations import (
         Demonstration,
         read_demonstrations,
@@ -66,6 +68,7 @@ _HOMES = {
     "Box": "boxes",
     "Car": "systems.car",
     "Constraint": "constraints",
+    "Course": "course",
     "Demonstration": "demonstrations",
     "Discrete": "solvers.discrete",
     "Distilled": "solvers.distilled",
@@ -100,9 +103,11 @@ _HOMES = {
     "Union": "constraints",
     "Walker": "systems.walker",
     "best_pair": "pairs",
+    "animate_course": "course_plots",
     "demonstrate": "demonstrators.boltzmann",
     "divergence": "rewards",
     "fit_beta": "temperature",
+    "follow": "course",
     "foresee": "foresight_training",
     "greedy": "selection",
     "grid": "hypotheses",
@@ -115,6 +120,7 @@ _HOMES = {
     "read_demonstrations": "demonstrations",
     "read_tasks": "demonstrations",
     "plot_contributions": "belief_plots",
+    "plot_course": "course_plots",
     "plot_posterior": "plots",
     "rk4": "mdp",
     "resolve": "resolving",
@@ -134,6 +140,7 @@ __all__ = [
     "Box",
     "Car",
     "Constraint",
+    "Course",
     "Demonstration",
     "Discrete",
     "Distilled",
@@ -165,10 +172,12 @@ __all__ = [
     "Task",
     "Union",
     "Walker",
+    "animate_course",
     "best_pair",
     "demonstrate",
     "divergence",
     "fit_beta",
+    "follow",
     "foresee",
     "greedy",
     "grid",
@@ -179,6 +188,7 @@ __all__ = [
     "load_nominal",
     "load_problem",
     "plot_contributions",
+    "plot_course",
     "plot_posterior",
     "read_demonstrations",
     "read_tasks",

@@ -94,6 +94,7 @@ class Monitor:
         margin: Mapping[str, float] | None = None,
     ) -> None:
         instance(evidence, Evidence, "evidence", "make some with swerve.sample")
+        self.evidence = evidence
         problem = evidence.problem
         hypotheses, space = problem.hypotheses, problem.space
         _check_foresight(evidence, foresight)

@@ -102,7 +102,7 @@ def plot_inference(
       ValueError: if matplotlib knows no such format, or it is too narrow for its text.
     """
     header = _header(inference, wording.title(inference)) if has_header else []
-    return written(_picture(inference, _by_score(inference), header, width), path)
+    return written(picture(inference, _by_score(inference), header, width), path)
 
 
 def plot_posterior(
@@ -121,17 +121,29 @@ def plot_posterior(
       ValueError: if matplotlib knows no such format, or it is too narrow for its text.
     """
     header = _header(inference, inference.belief)
-    return written(_picture(inference, _by_posterior(inference), header, width), path)
+    return written(picture(inference, _by_posterior(inference), header, width), path)
 
 
-def _picture(
-    inference: Inference, shading: Shading, header: list[tuple[str, float, str]], width: float
+def picture(
+    inference: Inference,
+    shading: Shading,
+    header: list[tuple[str, float, str]],
+    width: float,
+    also: Sequence[planes.Path] = (),
 ) -> Figure:
-    """Return a picture of the plane: hypotheses shaded, what is known, and trajectories."""
+    """Return a picture of the plane: hypotheses shaded, what is known, and trajectories.
+
+    Args:
+      inference: what to draw.
+      shading: by what.
+      header: lines above it, as text, size [pt] and colour.
+      width: of the picture [in].
+      also: paths that there is to be room for, though they are not drawn.
+    """
     is_wide = width >= NARROW
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
     nominal = planes.nominal_paths(inference, NUM_LINES)
-    plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal])
+    plane = planes.plane_of(inference.evidence.problem, [*demonstrations, *nominal, *also])
     figure = headed(header, width, *_size(plane, width))
     axes = figure.add_subplot()
     notes = _draw_values(axes, inference, shading, plane)

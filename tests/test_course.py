@@ -1,0 +1,76 @@
+"""Belief along a demonstration: what a monitor says state by state, and its pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from PIL import Image
+from synthetic import make_demonstration, make_evidence
+from test_monitor import make_monitor
+
+from swerve import Course, Demonstration, animate_course, follow, infer, plot_course
+
+
+def moving(num_states: int = 30) -> Demonstration:
+    """A demonstration that goes through cell 2 half way."""
+    made = make_demonstration(0, "demo", num_states=num_states)
+    made.states[num_states // 2 :, 1] = 7.0
+    times = np.linspace(0.0, 0.4, num_states)
+    return dataclasses.replace(made, times=times)
+
+
+@pytest.fixture
+def course() -> Course:
+    return follow(make_monitor(), moving())
+
+
+def test_is_what_the_monitor_says_and_ends_where_infer_ends(course: Course) -> None:
+    monitor, demonstration = make_monitor(), moving()
+    assert demonstration.times is not None
+    for k, state in enumerate(demonstration.states):
+        belief = monitor.observe(state, float(demonstration.times[k]))
+        assert course.none[k] == belief.none
+        np.testing.assert_array_equal(course.hypotheses[k], belief.hypotheses)
+        np.testing.assert_array_equal(np.isneginf(course.log_likelihood[k]), belief.struck_out)
+    result = infer(make_evidence(), [demonstration])
+    np.testing.assert_allclose(course.none[-1], result.posterior.none, atol=1e-6)
+    np.testing.assert_allclose(course.hypotheses[-1], result.posterior.hypotheses, atol=1e-6)
+    np.testing.assert_array_equal(course.entered[-1], result.entered[0])
+    assert course.entered[:, 2].argmax() == 15
+    assert course.times[0] == 0.0
+    assert course.times[-1] == course.times[-2] == pytest.approx(0.4)
+
+
+def test_times_are_the_models_steps_where_none_are_known() -> None:
+    course = follow(make_monitor(), make_demonstration(0))
+    np.testing.assert_allclose(course.times, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4])
+
+
+class TestPicture:
+    def test_lines_are_the_probabilities(self, course: Course, tmp_path: Path) -> None:
+        figure = plot_course(course, tmp_path / "course.png")
+        lines = {line.get_label(): line for line in figure.axes[0].lines}
+        np.testing.assert_allclose(lines["no constraint"].get_ydata(), course.none[:-1])
+        best = int(course.hypotheses.max(axis=0).argmax())
+        [label] = [str(name) for name in lines if str(name).startswith(f"{best}: ")]
+        np.testing.assert_allclose(lines[label].get_ydata(), course.hypotheses[:-1, best])
+        assert imread(tmp_path / "course.png").std() > 0.02
+
+    def test_animation_shows_the_demonstration_grow(self, course: Course, tmp_path: Path) -> None:
+        path = tmp_path / "course.gif"
+        animate_course(course, path, width=5.0)
+        with Image.open(path) as made:
+            assert getattr(made, "n_frames", 1) > 3
+            first = np.asarray(made.convert("RGB"), float)
+            made.seek(made.n_frames - 1)  # pyright: ignore[reportAttributeAccessIssue]
+            last = np.asarray(made.convert("RGB"), float)
+        assert np.abs(first - last).mean() > 0.5
+
+    def test_animations_are_gifs(self, course: Course, tmp_path: Path) -> None:
+        with pytest.raises(ValueError, match=r"course.mp4: expected a file that ends in .gif"):
+            animate_course(course, tmp_path / "course.mp4")
+        assert not list(tmp_path.iterdir())
