@@ -79,8 +79,8 @@ class Constraint(ABC):
         """
         del states, space
         raise ValueError(
-            f"{self.name}: a {type(self).__name__} has no distance: use constraints on states with "
-            "a shape, such as Box"
+            f"{self.name}: expected a constraint on states with a shape, such as Box, to tell "
+            f"distances to, got {type(self).__name__}"
         )
 
     def eroded(self, margin: Mapping[str, float]) -> Constraint:

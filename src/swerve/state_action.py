@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from swerve.boxes import ActionBox
 from swerve.constraints import Constraint, nowhere
 from swerve.space import Actions, StateSpace
@@ -71,6 +73,10 @@ class StateAction(Constraint):
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
         """Return [...] True where an action is forbidden and begun where it is."""
         return self.states.contains(states, space) & self.actions.forbids(actions)
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [...] of states [..., n] to those where the actions are forbidden."""
+        return self.states.distance(states, space)
 
     def eroded(self, margin: Mapping[str, float]) -> StateAction:
         """Return the same actions, forbidden in its states less the margin."""
