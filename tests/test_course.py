@@ -54,10 +54,14 @@ class TestPicture:
     def test_lines_are_the_probabilities(self, course: Course, tmp_path: Path) -> None:
         figure = plot_course(course, tmp_path / "course.png")
         lines = {line.get_label(): line for line in figure.axes[0].lines}
-        np.testing.assert_allclose(np.asarray(lines["no constraint"].get_ydata(), float), course.none[:-1])
+        np.testing.assert_allclose(
+            np.asarray(lines["no constraint"].get_ydata(), float), course.none[:-1]
+        )
         best = int(course.hypotheses.max(axis=0).argmax())
         [label] = [str(name) for name in lines if str(name).startswith(f"{best}: ")]
-        np.testing.assert_allclose(np.asarray(lines[label].get_ydata(), float), course.hypotheses[:-1, best])
+        np.testing.assert_allclose(
+            np.asarray(lines[label].get_ydata(), float), course.hypotheses[:-1, best]
+        )
         assert imread(tmp_path / "course.png").std() > 0.02
 
     def test_animation_shows_the_demonstration_grow(self, course: Course, tmp_path: Path) -> None:
