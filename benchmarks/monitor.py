@@ -98,9 +98,9 @@ def make_foresight(evidence: Evidence) -> Foresight:
     return Foresight(record.fingerprint, inputs, goals, tuple(weights), tuple(biases))
 
 
-def path(num_states: int) -> np.ndarray:
+def path(num_states: int, seed: int = 1) -> np.ndarray:
     """Return states [L, 2] of a pendulum under torques that are drawn at random."""
-    generator, dt = np.random.default_rng(1), 1.0 / 60.0
+    generator, dt = np.random.default_rng(seed), 1.0 / 60.0
     states = np.empty((num_states, 2))
     theta, omega = 3.0, 0.0
     for k in range(num_states):

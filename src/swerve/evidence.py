@@ -276,8 +276,7 @@ class Evidence:
             self.problem.space.relative_distance(self.tasks.start, start),
             _goal_distance(self.problem, self.tasks.goal, goal),
         )
-        number = distance.argmin(axis=-1)
-        return number, np.take_along_axis(distance, number[..., None], axis=-1)[..., 0]
+        return distance.argmin(axis=-1), distance.min(axis=-1)
 
     def select(self, indices: list[int]) -> Evidence:
         """Return evidence for some of the tasks, in the order given."""

@@ -76,7 +76,7 @@ class Inference:
     def counts(self) -> likelihood.Counts:
         """[K, H] demonstrations that avoid a hypothesis and that enter it, where they count."""
         entering = np.zeros(self.is_counted.shape)
-        np.add.at(entering, self.task_of, self.entered)
+        np.add.at(entering, self.task_of, self.entered.astype(float))
         avoiding = self.task_counts[:, None] - entering
         return likelihood.Counts(avoiding * self.is_counted, entering * self.is_counted)
 

@@ -103,8 +103,9 @@ def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:
 
 def _matched(demonstrations: Sequence[Demonstration], evidence: Evidence) -> np.ndarray:
     """Return the tasks [D] of demonstrations in the evidence."""
-    tasks = Task.stack([item.task for item in demonstrations])
-    numbers, away = evidence.nearest(tasks)
+    starts = np.stack([item.task.start for item in demonstrations])
+    goals = np.stack([item.task.goal for item in demonstrations])
+    numbers, away = evidence.nearest(Task(starts, goals))
     for k in np.flatnonzero(away > MATCH_TOLERANCE).tolist():
         evidence.match(demonstrations[k].task, demonstrations[k].name)  # which says that it is none
     return numbers
