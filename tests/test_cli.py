@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command import CONSTRAINT, ROBOT, SOLVER, Run, infer
 
-from swerve import store
+from swerve import cli, store
 from swerve.solvers import checkpoints
 
 
@@ -340,3 +340,13 @@ def test_unknown_attribute() -> None:
 
     with pytest.raises(AttributeError, match="has no attribute 'infur'"):
         swerve.infur  # noqa: B018
+
+
+def test_options_of_judging_are_the_arguments_of_infer() -> None:
+    words = "infer pendulum a.csv --score average --prior-none 0.25 --tolerance 0.1"
+    words += " --margin.theta 0.05 --margin.omega 0.2 --clearance 0.3"
+    _, bound, _ = cli.app.parse_args(words.split())
+    margin = {"theta": 0.05, "omega": 0.2}
+    assert vars(bound.arguments["judged"]) == {
+        "score": "average", "prior": 0.25, "tolerance": 0.1, "margin": margin, "clearance": 0.3
+    }  # fmt: skip
