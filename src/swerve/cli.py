@@ -24,12 +24,11 @@ from swerve.cli_options import (
     AsJson,
     Choices,
     Judging,
-    PriorNone,
     Problem,
+    Score,
     Seed,
     SolverName,
     Tasks,
-    Tolerance,
     WorkFolder,
     asked_tasks,
     open_work,
@@ -62,6 +61,7 @@ def infer(
     *demonstrations: Path,
     tasks: Tasks = None,
     how: Choices = AS_BEFORE,
+    score: Score = "likelihood",
     judged: Judging = AS_USUAL,
     work: WorkFolder = None,
     report: Path | None = None,
@@ -94,7 +94,7 @@ def infer(
     evidence = job.evidence(asked)
     if not found and asked is not None:
         evidence = _only(evidence, asked)
-    rank = partial(infer_constraints, demonstrations=found, **vars(judged))
+    rank = partial(infer_constraints, demonstrations=found, score=score, **vars(judged))
     result = rank(evidence)
     if not no_resolve:
         result = rank(job.resolved(result))
@@ -143,8 +143,7 @@ def watch(
     work: Path,
     tasks: Tasks = None,
     how: Choices = AS_BEFORE,
-    prior_none: PriorNone = 0.5,
-    tolerance: Tolerance = 0.0,
+    judged: Judging = AS_USUAL,
 ) -> None:
     """Watch demonstrations state by state: JSON lines in, JSON lines out.
 
@@ -169,9 +168,7 @@ def watch(
     else:
         rows = zip(*evidence.tasks, strict=True)
         named = {str(k): Task(*row) for k, row in enumerate(rows)}
-    watched = Watch(
-        evidence, foresight_of(job, evidence), named, prior=prior_none, tolerance=tolerance
-    )
+    watched = Watch(evidence, foresight_of(job, evidence), named, **vars(judged))
     say("watching: one state a line")
     answer_lines(sys.stdin, watched.answer, sys.stdout)
 

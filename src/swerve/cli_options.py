@@ -47,14 +47,9 @@ Method = Annotated[
     ),
 ]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
-PriorNone = Annotated[
-    float,
-    Parameter(
-        help="Probability of no constraint before any demonstration; the hypotheses share the rest."
-    ),
-]
-Tolerance = Annotated[
-    float, Parameter(help="Probability with which a demonstration ignores the constraint.")
+Score = Annotated[
+    Literal["likelihood", "average"],
+    Parameter(help="likelihood, or average: the paper's average violation probability."),
 ]
 AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")]
 
@@ -73,14 +68,19 @@ class Choices:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Judging:
-    """Options of how demonstrations are judged: the arguments of `swerve.infer`."""
+    """Options of how demonstrations are judged: arguments of `swerve.infer` and of a monitor."""
 
-    score: Annotated[
-        Literal["likelihood", "average"],
-        Parameter(help="likelihood, or average: the paper's average violation probability."),
-    ] = "likelihood"
-    prior: Annotated[PriorNone, Parameter(name="--prior-none")] = 0.5
-    tolerance: Tolerance = 0.0
+    prior: Annotated[
+        float,
+        Parameter(
+            name="--prior-none",
+            help="Probability of no constraint before any demonstration; the hypotheses share the "
+            "rest.",
+        ),
+    ] = 0.5
+    tolerance: Annotated[
+        float, Parameter(help="Probability with which a demonstration ignores the constraint.")
+    ] = 0.0
     margin: Annotated[
         dict[str, float] | None,
         Parameter(
