@@ -129,7 +129,7 @@ def main() -> None:
     exact = {index: exact_values(nominal, index, demonstrations, unconstrained) for index in chosen}
     shown = f"learned in {seconds:.0f} s" if seconds else "learned before"
     table = Table(
-        title=f"error of log P(avoid after t) [nats], {len(files)} demonstrations, {shown}"
+        title=f"error of log P(avoid after t) in nats, {len(files)} demonstrations, {shown}"
     )
     for column in ("foresight", "hypothesis", *(f"{share:.0%}" for share in QUANTILES)):
         table.add_column(column)
@@ -232,7 +232,7 @@ def rise_table(
 ) -> Table:
     """Return by how much the evidence for the truth has risen where demonstrations pass it."""
     table = Table(
-        title=f"evidence for cell {TRUTH} [nats]: when nearest to it, passing it, in the end"
+        title=f"evidence for cell {TRUTH} in nats: when nearest to it, passing it, in the end"
     )
     for column in ("demonstration", "nearest at [s]", *risen, "passes at [s]", *risen, "end"):
         table.add_column(column)
