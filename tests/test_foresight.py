@@ -54,7 +54,7 @@ def test_learned_probabilities_are_those_of_every_sequence_that_is_left(pendulum
     # steps of 0.4 s make the exact probability jump, by up to 0.64 within half a percent of the
     # extent, which no network of this size follows: it may tell what is exact next to a place.
     # Beyond that, errors of seeds 0 and 1 are at most 0.036 near and 0.15 far from where nominal
-    # trajectories pass, on average 0.0014 and 0.012; far, few samples tell of a state.
+    # trajectories pass, on average 0.0011 and 0.012; far, few samples tell of a state.
     for places, least_mean, least_worst in ((NEAR, 0.004, 0.06), (FAR, 0.025, 0.2)):
         around = [np.array([exact_pendulum(one) for one in nearby(place)]) for place in places]
         expected = np.array([values[0] for values in around])
