@@ -376,8 +376,8 @@ MUTANTS = (
     Mutant(
         "go on with what is foreseen at the horizon, where nothing is left",
         "monitor.py",
-        "if step == self._problem.num_steps:",
-        "if False:",
+        "is_over = step == self._problem.num_steps",
+        "is_over = False",
         "test_monitor",
     ),
     Mutant(

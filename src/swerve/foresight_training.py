@@ -43,7 +43,11 @@ SHARES = (0.5, 0.85)  # of the starts, cumulated: near nominal trajectories, any
 BATCH = 1024
 BLOCK = 100  # updates between two reports
 LEARNING_RATE = 3e-3
-MAX_LOG_WEIGHT = 3.0
+# Where a policy is coarse (11 nodes an axis) heavy trajectories drown the others: the network is
+# off by 0.024 to 0.031 on average with limits from 1 to 4, by 0.037, 0.052 and 0.060 with 5, 7 and
+# 40. Of the former a high one leaves less bias where a policy is poor: shares of 20,000 rollouts of
+# a soft value learned for 200,000 steps are off by 0.053 unweighted, 0.023 with 1, 0.011 with 3.
+MAX_LOG_WEIGHT = 3.0  # nats
 START_WEIGHT = 0.2  # of what the evidence knows of the starts, beside all that was sampled
 
 

@@ -161,8 +161,10 @@ class Monitor:
         last, self._state, self._time = self._state, values, now
         self._is_timed = time is not None
         step = min(round(now / self._problem.dt), self._problem.num_steps)
+        is_over = step == self._problem.num_steps  # nothing is left to be avoided
         if is_first and LATE in flags:
-            self._base[:] = np.where(self._is_counted, self._ahead(self._array, step), 0.0)
+            foreseen = 0.0 if is_over else self._ahead(self._array, step)
+            self._base[:] = np.where(self._is_counted, foreseen, 0.0)
             self._log_ratio = self._base.astype(float)
         new = tuple(
             k for k in self._steps.enter(values) if self._is_counted[k] and not self._entered[k]
@@ -171,7 +173,7 @@ class Monitor:
             self._entered[list(new)] = True
         if self._problem.known and self._is_forbidden(last or values, values):
             flags = (*flags, KNOWN)
-        if step == self._problem.num_steps:
+        if is_over:
             log_likelihood = -self._base
         else:
             ahead = self._ahead(self._array, step)
