@@ -31,12 +31,35 @@ def positive_number(value: Any, name: str) -> float:
       ValueError: if it is no finite number above 0.
     """
     try:
-        number = math.nan if isinstance(value, str | bool) else float(value)
+        number = _number(value)
     except (TypeError, ValueError):
         number = math.nan
     if not (math.isfinite(number) and number > 0.0):
         raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
     return number
+
+
+def number(value: Any, name: str, expected: str) -> float:
+    """Return a value as a float.
+
+    Args:
+      value: the argument.
+      name: of the argument.
+      expected: what it should be, for the message.
+
+    Raises:
+      ValueError: if it is no number; NaN is one.
+    """
+    try:
+        return _number(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected {expected}, got {value!r}") from None
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, str | bool):
+        raise TypeError("no number")
+    return float(value)
 
 
 def instance(value: Any, kind: type, name: str, remedy: str) -> None:

@@ -167,6 +167,10 @@ class ActionBox(Constraint):
         table = np.asarray(mdp.actions, float)
         return np.asarray(self.forbids(Actions(tuple(mdp.action_names), table)))
 
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return [...] infinity: it is about no states, so none is near it."""
+        return np.full(np.shape(states)[:-1], np.inf)
+
     def eroded(self, margin: Mapping[str, float]) -> ActionBox:
         """Return itself: the margin is about states."""
         del margin

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swerve import trust
+from swerve import trust, wording
+from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
 from swerve.trust import some_names
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 FAR_END = 0.05  # of the extent: within it of its goal a demonstration has arrived
 FACTOR = 2.0  # beyond nominal trajectories in where it ends
 FAST = 3.0  # times the fastest nominal change of a state
+JITTER = 0.01  # of the extent: two measurements of one state may differ by so much
 FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single steps fast
 TIME_SLACK = 0.1  # of the duration
 COARSE = 1.5  # of the model's steps, between two states of a demonstration
@@ -37,6 +39,7 @@ def warnings(inference: Inference) -> tuple[str, ...]:
         *_impossible(inference),
         *_of_samples(inference),
         *(() if inference.evidence.is_exact else trust.hardly_avoided(inference)),
+        *_grazed(inference),
         *_doubts(inference),
     )
 
@@ -57,7 +60,7 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
     found = {
         "end": _odd_end(demonstration, evidence, task) if is_known else "",
         "duration": _odd_duration(demonstration, evidence, task),
-        "speed": _odd_speed(demonstration, evidence, task),
+        "speed": _odd_speed(demonstration, evidence, task) or _jump(demonstration, evidence, task),
         "rate": _coarse(demonstration, evidence),
     }
     return {kind: text for kind, text in found.items() if text}
@@ -101,14 +104,20 @@ def _odd_duration(demonstration: Demonstration, evidence: Evidence, task: int) -
     return ""
 
 
-def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+def _steps(demonstration: Demonstration, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far each state changes [L-1, n] from row to row, and in what time [L-1] s."""
     problem, states, times = evidence.problem, demonstration.states, demonstration.times
-    horizon = problem.num_steps * problem.dt
     if times is None:  # as if it lasted as long as the model's episodes
-        times = np.linspace(0.0, horizon, len(states))
-    steps = np.abs(problem.space.difference(states[:-1], states[1:])) / np.diff(times)[:, None]
+        times = np.linspace(0.0, problem.num_steps * problem.dt, len(states))
+    return np.abs(problem.space.difference(states[:-1], states[1:])), np.diff(times)
+
+
+def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    problem = evidence.problem
+    horizon = problem.num_steps * problem.dt
+    moved, elapsed = _steps(demonstration, evidence)
     # sorted by hand: np.quantile loads another 30 ms of NumPy
-    speed = np.sort(steps, axis=0)[int(FAST_SHARE * (len(steps) - 1))]
+    speed = np.sort(moved / elapsed[:, None], axis=0)[int(FAST_SHARE * (len(moved) - 1))]
     nominal = np.maximum(evidence.summary.fastest[task], 1e-6 * problem.space.extent / horizon)
     worst = int((speed / nominal).argmax())
     if speed[worst] <= FAST * nominal[worst]:
@@ -117,6 +126,21 @@ def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> s
         f"changes {problem.space.names[worst]} by {speed[worst]:.3g} a second, "
         f"{speed[worst] / nominal[worst]:.0f} times as fast as any nominal trajectory: another "
         "unit, such as degrees, or another t?"
+    )
+
+
+def _jump(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    space, fastest = evidence.problem.space, evidence.summary.fastest[task]
+    moved, elapsed = _steps(demonstration, evidence)
+    beyond = moved - FAST * fastest * elapsed[:, None] - JITTER * space.extent
+    if not (beyond > 0.0).any():
+        return ""
+    row, column = np.unravel_index(int((beyond / space.extent).argmax()), beyond.shape)
+    return (
+        f"jumps by {moved[row, column]:.3g} in {space.names[column]} from row {row + 1} to row "
+        f"{row + 2}, in {elapsed[row]:.3g} s, where no nominal trajectory changes it faster than "
+        f"by {fastest[column]:.3g} a second: a glitch of the recording? What lies on the line "
+        "between counts as entered"
     )
 
 
@@ -139,11 +163,49 @@ def _doubts(inference: Inference) -> Iterator[str]:
     for demonstration, task in zip(inference.demonstrations, inference.task_of, strict=True):
         for kind, text in doubts(demonstration, inference.evidence, int(task)).items():
             found.setdefault(kind, []).append((demonstration.name, text))
+    yield from _again(inference)
     for cases in found.values():
         name, text = cases[0]
         others = [other for other, _ in cases[1:]]
         also = f" (so it is with {some_names(others)})" if others else ""
         yield f"{name} {text}{also}"
+
+
+def _again(inference: Inference) -> Iterator[str]:
+    """Yield which demonstrations are there more than once."""
+    found: dict[tuple[bytes, ...], list[str]] = {}
+    for item in inference.demonstrations:
+        parts = (item.states, item.task.start, item.task.goal)
+        found.setdefault(tuple(part.tobytes() for part in parts), []).append(item.name)
+    for names in found.values():
+        if len(names) > 1:
+            yield (
+                f"{names[0]} is there {len(names)} times (as {some_names(names)}): each counts as "
+                "evidence of its own"
+            )
+
+
+def _grazed(inference: Inference) -> Iterator[str]:
+    """Yield that a margin speaks for the hypothesis that comes first."""
+    problem = inference.evidence.problem
+    if inference.judged is problem.hypotheses or not len(inference.ranking):
+        return
+    best = int(inference.ranking[0])
+    constraint = problem.hypotheses.constraint(best)
+    grazing = [
+        item.name
+        for d, item in enumerate(inference.demonstrations)
+        if inference.is_counted[inference.task_of[d], best]
+        and not inference.entered[d, best]
+        and violates(constraint, item.states, problem.space, problem.between_states)
+    ]
+    if grazing:
+        yield (
+            f"{len(grazing)} of {len(inference.demonstrations)} demonstrations "
+            f"({some_names(grazing)}) enter hypothesis {best} no deeper than the margin, which "
+            "counts as avoiding it, while nominal trajectories are judged without a margin: it "
+            "seems more probable than it is. Take a margin as small as the noise"
+        )
 
 
 def _exhausted(inference: Inference) -> Iterator[str]:
@@ -153,19 +215,8 @@ def _exhausted(inference: Inference) -> Iterator[str]:
             f"no hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
             f"least one demonstration ({inference.demonstrations[int(entered.argmax())].name} "
             f"alone enters {entered.max()}). The constraint is not among the hypotheses, or the "
-            f"demonstrations are not of this problem{_tolerable(inference)}"
+            f"demonstrations are not of this problem{wording.tolerable(inference)}"
         )
-
-
-def _tolerable(inference: Inference) -> str:
-    """Return with which tolerance something would be left."""
-    tolerance = inference.least_tolerance
-    if tolerance is None:
-        return ". No tolerance makes any of them more probable than no constraint"
-    return (
-        ", or some of them ignore it: with a tolerance of "
-        f"{tolerance:.2g} or more one would be more probable than no constraint"
-    )
 
 
 def _impossible(inference: Inference) -> Iterator[str]:

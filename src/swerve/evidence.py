@@ -240,6 +240,13 @@ class Evidence:
     def _weighs_alike(self) -> bool:
         return self.method == "plain" and not self.is_of_other_beta
 
+    def __repr__(self) -> str:
+        """Return what it is of, in one line."""
+        return (
+            f"<Evidence of {self.problem.summary}: {self.num_tasks} tasks, "
+            f"{len(self.problem.hypotheses)} hypotheses, method {self.method!r}>"
+        )
+
     def find(self, task: Task) -> int | None:
         """Return the index of the task with the same start and goal, or None.
 

@@ -24,7 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from swerve import store
-from swerve.problem import ProblemRecord
+from swerve.problem import Problem, ProblemRecord
 from swerve.space import TWO_PI, StateSpace
 
 KIND = "swerve-foresight"
@@ -213,19 +213,20 @@ class Foresight:
         store.write(path, KIND, VERSION, header, arrays)
 
     @classmethod
-    def load(cls, path: str | Path, problem: ProblemRecord) -> Foresight:
-        """Read what `save` wrote for this problem.
+    def load(cls, path: str | Path, problem: Problem | ProblemRecord) -> Foresight:
+        """Read what `save` wrote for this problem, or for that of an evidence.
 
         Raises:
           store.StoreError: if the file is cut short, altered, or of another kind, version or
             problem.
         """
+        record = problem if isinstance(problem, ProblemRecord) else problem.record
         with store.open_file(path, KIND, VERSION) as stored:
             header, layers = stored.header, range(stored.header["num_layers"])
-            if header["problem"] != problem.fingerprint:
+            if header["problem"] != record.fingerprint:
                 raise store.StoreError(
                     path,
-                    f"holds the foresight of another problem, not of {problem.summary}",
+                    f"holds the foresight of another problem, not of {record.summary}",
                     "learn it again for this problem, into another file",
                 )
             inputs = Inputs(

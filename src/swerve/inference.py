@@ -65,6 +65,10 @@ class Inference:
     prior: np.ndarray
     judged: HypothesisSet
 
+    def __repr__(self) -> str:
+        """Return the answer in one line."""
+        return f"<Inference: {self.headline}>"
+
     @cached_property
     def task_counts(self) -> np.ndarray:
         """[K] demonstrations of each task; all 1 where there are none (the prior ranking)."""
@@ -214,7 +218,12 @@ class Inference:
 
     @property
     def log_bayes_factor(self) -> float:
-        """Log-likelihood ratio of there being a constraint, whichever, against none [nats]."""
+        """Log-likelihood ratio of there being a constraint, whichever, against none [nats].
+
+        0 without demonstrations.
+        """
+        if not self.demonstrations:
+            return 0.0
         return posterior.log_bayes_factor(self.log_likelihood, self.prior)
 
     def credible_set(self, probability: float = 0.95) -> CredibleSet:
@@ -357,7 +366,9 @@ def infer(
       tolerance: eps, the probability with which a demonstration ignores the constraint, so that one
         stray track does not veto the truth; 0 is the paper's.
       margin: for states measured with noise, how deep inside a hypothesis, in the state's unit, a
-        demonstration must be to have entered it.
+        demonstration must be to have entered it. Nominal trajectories are judged as they are, so
+        what demonstrations graze seems more probable than it is: as small as the noise, then. What
+        a task starts or ends in is left out for it.
       clearance: leave a hypothesis out for tasks that start or end within this distance of it, in
         the units of the states that it names: nobody enters it there, constraint or not. Goals
         count where they are states.
@@ -379,7 +390,7 @@ def infer(
         task_of=np.zeros(0, int),
         entered=np.zeros((0, len(hypotheses)), bool),
         score_name=score,
-        is_counted=likelihood.is_counted(evidence, clearance),
+        is_counted=likelihood.is_counted(evidence, clearance, margin),
         tolerance=likelihood.checked_tolerance(tolerance),
         prior=posterior.checked_prior(prior, len(hypotheses)),
         judged=hypotheses if margin is None else hypotheses.eroded(margin, evidence.problem.space),

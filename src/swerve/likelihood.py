@@ -13,9 +13,12 @@ Shapes: K tasks, D demonstrations, H hypotheses.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from swerve.arguments import number
 
 if TYPE_CHECKING:
     from swerve.evidence import Evidence
@@ -73,36 +76,44 @@ def checked_tolerance(tolerance: float) -> float:
       ValueError: if it is not from 0 to MAX_TOLERANCE: demonstrations that ignore a constraint more
         often than not tell nothing of it, and with eps = 1 nothing at all.
     """
-    if not 0.0 <= tolerance <= MAX_TOLERANCE:
-        raise ValueError(
-            "tolerance: expected the probability that a demonstration ignores the constraint, from "
-            f"0 to {MAX_TOLERANCE}, got {tolerance}"
-        )
-    return float(tolerance)
+    expected = (
+        f"the probability that a demonstration ignores the constraint, from 0 to {MAX_TOLERANCE}"
+    )
+    value = number(tolerance, "tolerance", expected)
+    if not 0.0 <= value <= MAX_TOLERANCE:
+        raise ValueError(f"tolerance: expected {expected}, got {tolerance}")
+    return value
 
 
-def is_counted(evidence: Evidence, clearance: float | None) -> np.ndarray:
+def is_counted(
+    evidence: Evidence, clearance: float | None, margin: Mapping[str, float] | None
+) -> np.ndarray:
     """Return [K, H] whether a hypothesis is not within a distance of the ends of a task.
+
+    With a margin those that a task starts or ends in do not count either: every nominal trajectory
+    enters them, and demonstrations that are no deeper inside would seem to obey a miracle.
 
     Args:
       evidence: with the tasks.
       clearance: the distance, in the units of the states that a hypothesis names, or None: all
         count.
+      margin: for measurement noise, or None.
 
     Raises:
       ValueError: if the distance is negative or no number, or a hypothesis has none.
     """
     problem, tasks = evidence.problem, evidence.tasks
     shape = evidence.num_tasks, len(problem.hypotheses)
-    if clearance is None:
+    if clearance is None and margin is None:
         return np.ones(shape, bool)
-    if not (math.isfinite(clearance) and clearance >= 0.0):
+    least = 0.0 if clearance is None else number(clearance, "clearance", "a distance >= 0")
+    if not (math.isfinite(least) and least >= 0.0):
         raise ValueError(f"clearance: expected a distance >= 0, got {clearance}")
     ends = [tasks.start]
     if problem.goal_names == problem.space.names:
         ends.append(tasks.goal)
     nearest = np.min([problem.hypotheses.distance(end, problem.space) for end in ends], axis=0)
-    return nearest > clearance
+    return nearest > least
 
 
 def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:

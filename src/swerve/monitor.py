@@ -24,6 +24,7 @@ import numpy as np
 from swerve import likelihood
 from swerve.arguments import instance
 from swerve.constraints import violates
+from swerve.diagnosis import COARSE, FAST, JITTER, TIME_SLACK
 from swerve.evidence import Evidence
 from swerve.foresight import Foreseer
 from swerve.posterior import Prior, checked_prior, posterior
@@ -38,11 +39,8 @@ REPEATED = "repeated"
 CONFLICTING = "another state at the same time"
 GAP = "gap"
 OVERTIME = "past the horizon"
+SHORT = "cut short"
 KNOWN = "in a known constraint"
-
-FAST = 5.0  # times the fastest nominal change of a state: nobody gets there in time
-JITTER = 0.01  # of the extent: two measurements of one state may differ by so much
-COARSE = 1.5  # of the model's steps, between two states
 
 
 class Belief(NamedTuple):
@@ -107,7 +105,7 @@ class Monitor:
         self._start = np.asarray(evidence.tasks.start[number], float)
         self._ahead = foresight.towards(evidence.tasks.goal[number])
         self._steps = stepwise(hypotheses, space, problem.between_states, margin)
-        is_counted = likelihood.is_counted(evidence, clearance)[number]
+        is_counted = likelihood.is_counted(evidence, clearance, margin)[number]
         self._left_out = None if is_counted.all() else ~is_counted
         log_ratio = np.where(is_counted, evidence.log_ratio[number], 0.0)
         self._impossible = np.asarray(evidence.is_exact & np.isneginf(log_ratio))
@@ -123,6 +121,7 @@ class Monitor:
         self._bounds = limits.tolist()
         self._is_angle = space.is_angle.tolist()
         self._fastest = (FAST * evidence.summary.fastest[number]).tolist()
+        self._shortest = float(evidence.summary.shortest[number])
         self._jitter = (JITTER * space.extent).tolist()
         self._near = (START_TOLERANCE * space.unit).tolist()
         self._array = np.empty(len(space.names))
@@ -186,16 +185,26 @@ class Monitor:
     def finish(self) -> Belief:
         """Return what the demonstration tells if it ends here: what `infer` tells of it.
 
+        It is flagged as cut short where nominal trajectories take longer.
+
         Raises:
-          ValueError: if nothing that the prior allows is left.
+          ValueError: if no state has come yet, or nothing that the prior allows is left.
         """
+        if not self._state:
+            raise ValueError("finish: no state of the demonstration has come yet")
         value = likelihood.avoiding_term(self._log_ratio, self._tolerance)
         entering = math.log(self._tolerance) if self._tolerance else -math.inf
         value = np.where(self._entered, entering, value)
         value[self._impossible] = -np.inf
         probability = posterior(value, self._prior)
+        is_short = self._time < (1.0 - TIME_SLACK) * self._shortest
         return Belief(
-            np.isneginf(value), value, float(probability[0]), probability[1:], entered=(), flags=()
+            np.isneginf(value),
+            value,
+            float(probability[0]),
+            probability[1:],
+            entered=(),
+            flags=(SHORT,) if is_short else (),
         )
 
     def _belief(

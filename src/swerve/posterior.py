@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swerve import likelihood
+from swerve.arguments import number
 
 if TYPE_CHECKING:
     from swerve.inference import Inference
@@ -69,7 +70,13 @@ def checked_prior(prior: Prior, num_hypotheses: int) -> np.ndarray:
     """
     if prior is None:
         prior = NONE
-    given = np.asarray(prior, float)
+    given = np.asarray(prior)
+    if given.dtype.kind not in "iuf":
+        raise ValueError(
+            f"prior: expected P(no constraint), or {num_hypotheses + 1} probabilities, that of no "
+            f"constraint first, got {prior!r}"
+        )
+    given = given.astype(float)
     if given.ndim == 0:
         if not 0.0 <= given <= 1.0:
             raise ValueError(f"prior: expected P(no constraint) from 0 to 1, got {prior}")
@@ -125,6 +132,8 @@ def log_bayes_factor(log_likelihood: np.ndarray, prior: np.ndarray) -> float:
       log_likelihood: [H] nats.
       prior: [H + 1]; those of the hypotheses weigh them.
     """
+    if not prior[1:].any():
+        return -np.inf
     with np.errstate(divide="ignore"):
         log_share = np.log(prior[1:]) - np.log(prior[1:].sum())
     log_joint = np.where(prior[1:] > 0.0, log_likelihood + log_share, -np.inf)
@@ -150,6 +159,7 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
     Raises:
       ValueError: if `least` is not between 0 and 1.
     """
+    least = number(least, "credible_set", "a probability between 0 and 1")
     if not 0.0 < least < 1.0:
         raise ValueError(f"credible_set: expected a probability between 0 and 1, got {least}")
     probabilities = np.concatenate([[found.none], found.hypotheses])
@@ -164,10 +174,14 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
 def of_inference(inference: Inference) -> Posterior:
     """Return the posterior of an inference.
 
-    Its errors come from leaving out one island of the samples after another, of all tasks at once;
-    ratios worked out with the constraint in force, and bounds, have errors of their own.
+    Without demonstrations it is the prior. Its errors come from leaving out one island of the
+    samples after another, of all tasks at once; ratios worked out with the constraint in force, and
+    bounds, have errors of their own.
     """
     evidence = inference.evidence
+    if not inference.demonstrations:
+        prior = inference.prior
+        return Posterior(float(prior[0]), 0.0, prior[1:].copy(), np.zeros(len(prior) - 1))
     tasks = np.flatnonzero(inference.task_counts)
     value = posterior(inference.log_likelihood, inference.prior)
     if evidence.is_exact:

@@ -67,6 +67,8 @@ def sentence(inference: Inference) -> str:
 
 def belief(inference: Inference) -> str:
     """Return how probable no constraint and the best hypothesis are, and the 95 % credible set."""
+    if inference.demonstrations and not len(inference.ranking):
+        return f"Posterior: none of these {len(inference.struck_out)}{tolerable(inference)}."
     found, credible = inference.posterior, inference.credible_set()
     parts = [f"Posterior: no constraint {probability(found.none, found.none_error)}"]
     if found.hypotheses.any():
@@ -77,6 +79,17 @@ def belief(inference: Inference) -> str:
     if len(credible.hypotheses):
         names.append(_numbered(inference, credible.hypotheses.tolist()))
     return f"{', '.join(parts)}; 95 % credible set: {' or '.join(names)}."
+
+
+def tolerable(inference: Inference) -> str:
+    """Return with which tolerance something would be left where all is struck out."""
+    tolerance = inference.least_tolerance
+    if tolerance is None:
+        return "; no tolerance makes any of them more probable than no constraint"
+    return (
+        f"; with a tolerance of {tolerance:.2g} or more, some demonstrations ignoring it, one "
+        "would be more probable than no constraint"
+    )
 
 
 def probability(value: float, error: float) -> str:
