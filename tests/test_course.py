@@ -64,6 +64,25 @@ class TestPicture:
         )
         assert imread(tmp_path / "course.png").std() > 0.02
 
+    def test_what_has_no_line_of_its_own_is_one_line(self, course: Course) -> None:
+        axes = plot_course(course).axes[0]
+        [line] = [x for x in axes.lines if x.get_label() == "all other hypotheses (7)"]
+        shown = [x for x in axes.lines if len(np.asarray(x.get_xydata())) > 1]
+        assert len(shown) == 7
+        total = sum(np.asarray(x.get_ydata(), float) for x in shown)
+        np.testing.assert_allclose(total, 1.0)
+        assert np.asarray(line.get_ydata(), float).max() > 0.01
+        few = course._replace(hypotheses=course.hypotheses * (np.arange(12) < 5))
+        labels = [str(x.get_label()) for x in plot_course(few).axes[0].lines]
+        assert not [label for label in labels if "other" in label]
+
+    def test_crosses_lie_on_their_line(self, course: Course) -> None:
+        likely = np.tile(np.where(np.arange(12) == 2, 0.5, 0.01), (31, 1))
+        likely[15:, 2] = 0.2  # entered there, and tolerated
+        axes = plot_course(course._replace(hypotheses=likely)).axes[0]
+        crosses = [np.asarray(x.get_xydata()) for x in axes.lines if x.get_marker() == "x"]
+        assert any(np.allclose(cross, [[course.times[15], 0.2]]) for cross in crosses)
+
     def test_animation_shows_the_demonstration_grow(self, course: Course, tmp_path: Path) -> None:
         path = tmp_path / "course.gif"
         animate_course(course, path, width=5.0)

@@ -28,6 +28,7 @@ from swerve.shading import Shading
 from swerve.space import Task
 
 NUM_LINES = 5  # hypotheses drawn: those that were most probable at some time
+LEAST_SUM = 0.01  # probability of all the others at some time, below which it is not drawn
 STYLES = ("-", "--", "-.", ":", (0, (1, 1)))
 COLOURS = ("#5b1a78", "#d55e00", "#0072b2", "#009e73", "#999999")
 NUM_FRAMES, FRAME, LAST = 60, 100, 2_000  # frames, and how long each and the last are shown [ms]
@@ -38,7 +39,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     """Draw how probable no constraint and the likeliest hypotheses were, against time.
 
     At a cross a hypothesis is entered. The dots at the right are what is believed when the
-    demonstration has ended.
+    demonstration has ended. Where the hypotheses without a line matter, one line is their sum.
 
     Args:
       course: from `swerve.follow`.
@@ -62,7 +63,13 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
         _draw_line(axes, course, course.hypotheses[:, index], label, color=colour, ls=style, lw=1.5)
         if course.entered[-1, index]:
             k = int(course.entered[:, index].argmax())
-            axes.plot(course.times[k], course.hypotheses[max(k - 1, 0), index], "x", color=colour)
+            axes.plot(
+                course.times[k], course.hypotheses[k, index], "x", color=colour, clip_on=False
+            )
+    others = course.hypotheses.sum(axis=1) - course.hypotheses[:, shown].sum(axis=1)
+    if others.max() > LEAST_SUM:
+        label = f"all other hypotheses ({course.hypotheses.shape[1] - len(shown)})"
+        _draw_line(axes, course, others, label, color=FAINT, ls=(0, (6, 2)), lw=2.0)
     axes.set(ylim=(-0.02, 1.02))
     axes.set_xlabel("time [s]", fontsize=9)
     axes.set_ylabel("posterior probability", fontsize=9)
