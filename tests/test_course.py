@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 from synthetic import make_demonstration, make_evidence
 from test_monitor import make_monitor
@@ -92,6 +93,17 @@ class TestPicture:
             made.seek(made.n_frames - 1)  # pyright: ignore[reportAttributeAccessIssue]
             last = np.asarray(made.convert("RGB"), float)
         assert np.abs(first - last).mean() > 0.5
+
+    def test_animation_is_laid_out_once(self, course: Course, tmp_path: Path, monkeypatch) -> None:
+        """What is around the axes stays where it is, and a frame does not wait for it."""
+        laid_out, execute = [], ConstrainedLayoutEngine.execute
+        monkeypatch.setattr(
+            ConstrainedLayoutEngine,
+            "execute",
+            lambda engine, figure: (laid_out.append(figure), execute(engine, figure))[1],
+        )
+        animate_course(course, tmp_path / "course.gif", width=5.0)
+        assert len(laid_out) == 1
 
     def test_animations_are_gifs(self, course: Course, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r"course.mp4: expected a file that ends in .gif"):

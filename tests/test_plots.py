@@ -376,6 +376,26 @@ class TestRanking:
         assert low == 0 < high
 
 
+class TestLabel:
+    @pytest.mark.parametrize("side", [1.0, 8.0])
+    def test_keeps_off_other_hypotheses_where_there_is_room(self, side: float) -> None:
+        """The best is in the middle, large ones all about it but for above or below."""
+        other = Box(theta=(0.2, 6.0), x=(side - 1.0, side + 2.0))
+        listed = [Box(theta=(2.9, 3.4), x=(4.5, 5.5)), other, Box(theta=(3.6, 6.0), x=(4.0, 6.0))]
+        columns = np.zeros((1, 400, 3), bool)
+        columns[0, :300, 0] = columns[0, :20, 1] = columns[0, :20, 2] = True
+        evidence = evidence_of_columns(columns, ConstraintHypotheses(listed))
+        figure = plot_inference(infer(evidence))
+        figure.draw_without_rendering()
+        axes = axes_of(figure)
+        (note,) = [text for text in axes.texts if isinstance(text, Annotation)]
+        box = note.get_window_extent().transformed(axes.transData.inverted())
+        for constraint in listed:
+            low, high, bottom, top = sides(constraint)
+            apart = box.x1 < low or box.x0 > high or box.y1 < bottom or box.y0 > top
+            assert apart, constraint.name
+
+
 class TestEdges:
     def test_marks_of_the_axes_lie_above_outlines_at_their_edge(self) -> None:
         axes = axes_of(plot_inference(inference_of()))

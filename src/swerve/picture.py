@@ -19,9 +19,10 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
-from swerve import wording
+from swerve import polygons, wording
 from swerve.boxes import Box
 from swerve.figures import FAINT, INK, headed
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet
 from swerve.inference import Inference
 from swerve.plane import Plane
 from swerve.problem import ProblemRecord
@@ -37,6 +38,7 @@ from swerve.shading import (
 from swerve.state_action import StateAction
 
 NUM_LINES = 100  # nominal trajectories drawn, of all tasks together
+LABEL_RASTER = 40  # points a side at which a label is kept off hypotheses
 NARROW = 6.0  # in; below it the colour bar goes under the picture
 
 KNOWN, DEMONSTRATION, NOMINAL = "#3c3c3c", "#0072b2", "#555555"
@@ -161,7 +163,7 @@ def _annotate(
     demonstrations: list[planes.Path],
     plane: Plane,
 ) -> None:
-    """Write index and value beside the best hypothesis, where the fewest demonstrations pass."""
+    """Write index and value beside the best hypothesis, where it covers least of the others."""
     if not len(shading.outlined):
         return
     leaders = shading.outlined[:NUM_OUTLINED].tolist()
@@ -175,6 +177,7 @@ def _annotate(
     label = np.array([0.05 * max(map(len, text.split("\n"))), 0.11 * (1 + text.count("\n"))]) / size
     ties = [plane.rectangles(constraint(k)).reshape(-1, 2, 2).mean(axis=2) for k in leaders]
     busy = [*20 * ties, *(plane.pieces(path) for path in demonstrations)]
+    busy.append(_covered(inference.evidence.problem.hypotheses, plane))
     place, end = plane.place(rectangles, np.concatenate(busy), label)
     axes.annotate(
         text, end, place, xycoords="axes fraction", textcoords="axes fraction",
@@ -183,6 +186,17 @@ def _annotate(
         bbox={"boxstyle": "round,pad=0.3", "fc": "white", "ec": INK, "lw": 0.8},
         arrowprops={"arrowstyle": "-", "color": INK, "lw": 1.2},
     )  # fmt: skip
+
+
+def _covered(hypotheses: HypothesisSet, plane: Plane) -> np.ndarray:
+    """Return points [P, 2] of a raster that lie in constraints of a list; cells are everywhere."""
+    if not isinstance(hypotheses, ConstraintHypotheses):
+        return np.zeros((0, 2))
+    axes = [np.linspace(low, high, LABEL_RASTER) for low, high in plane.limits]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    outlines = [part for c in hypotheses.constraints[:NUM_OUTLINED] for part in plane.outlines(c)]
+    inside = [polygons.encloses(outline, *points.T) for outline in outlines]
+    return points[np.any(inside, axis=0)] if inside else points[:0]
 
 
 def _finish(axes: Axes, plane: Plane, notes: str) -> None:
