@@ -41,6 +41,22 @@ class TestContributions:
         np.testing.assert_array_equal(crosses.get_xydata(), [[0.0, 6.0]])
         assert "ruled out" in " ".join(text.get_text() for text in figure.texts)
 
+    def test_crosses_are_beside_the_line_at_zero_and_inside_the_axes(self) -> None:
+        figure = plot_contributions(from_demonstrations(tolerance=0.0), 2)
+        figure.draw_without_rendering()
+        axes = figure.axes[0]
+        [crosses] = [line for line in axes.lines if line.get_marker() == "X"]
+        [[x, _]] = crosses.get_transform().transform(crosses.get_xydata())
+        radius = crosses.get_markersize() / 2 * figure.dpi / 72
+        assert axes.bbox.x0 < x - radius
+        assert x + radius < axes.transData.transform((0.0, 0.0))[0]
+
+    def test_demonstrations_of_one_name_are_told_apart(self) -> None:
+        made = [make_demonstration(k, name) for k, name in enumerate(["a", "b", "a"])]
+        figure = plot_contributions(infer(make_evidence(), made), 2)
+        names = {label.get_text() for label in figure.axes[0].get_yticklabels()}
+        assert names == {"a", "b", "a (2)"}
+
     def test_the_best_is_drawn_unless_named(self, tmp_path: Path) -> None:
         result = from_demonstrations(tolerance=0.0)
         figure = plot_contributions(result, path=tmp_path / "a.png")
@@ -50,7 +66,7 @@ class TestContributions:
     def test_of_many_those_that_say_most(self) -> None:
         figure = plot_contributions(from_demonstrations(tolerance=0.0, num=60), 2)
         assert len(figure.axes[0].patches) == 40
-        assert figure.axes[0].get_title() == "21 that say less are not drawn"
+        assert figure.axes[0].get_title() == "21 that say no more are not drawn"
         assert any(label.get_text() == "stray" for label in figure.axes[0].get_yticklabels())
 
     def test_bad_input(self) -> None:

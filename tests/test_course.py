@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 from synthetic import make_demonstration, make_evidence
 from test_monitor import make_monitor
@@ -64,6 +65,25 @@ class TestPicture:
         )
         assert imread(tmp_path / "course.png").std() > 0.02
 
+    def test_what_has_no_line_of_its_own_is_one_line(self, course: Course) -> None:
+        axes = plot_course(course).axes[0]
+        [line] = [x for x in axes.lines if x.get_label() == "all other hypotheses (7)"]
+        shown = [x for x in axes.lines if len(np.asarray(x.get_xydata())) > 1]
+        assert len(shown) == 7
+        total = sum(np.asarray(x.get_ydata(), float) for x in shown)
+        np.testing.assert_allclose(total, 1.0)
+        assert np.asarray(line.get_ydata(), float).max() > 0.01
+        few = course._replace(hypotheses=course.hypotheses * (np.arange(12) < 5))
+        labels = [str(x.get_label()) for x in plot_course(few).axes[0].lines]
+        assert not [label for label in labels if "other" in label]
+
+    def test_crosses_lie_on_their_line(self, course: Course) -> None:
+        likely = np.tile(np.where(np.arange(12) == 2, 0.5, 0.01), (31, 1))
+        likely[15:, 2] = 0.2  # entered there, and tolerated
+        axes = plot_course(course._replace(hypotheses=likely)).axes[0]
+        crosses = [np.asarray(x.get_xydata()) for x in axes.lines if x.get_marker() == "x"]
+        assert any(np.allclose(cross, [[course.times[15], 0.2]]) for cross in crosses)
+
     def test_animation_shows_the_demonstration_grow(self, course: Course, tmp_path: Path) -> None:
         path = tmp_path / "course.gif"
         animate_course(course, path, width=5.0)
@@ -73,6 +93,17 @@ class TestPicture:
             made.seek(made.n_frames - 1)  # pyright: ignore[reportAttributeAccessIssue]
             last = np.asarray(made.convert("RGB"), float)
         assert np.abs(first - last).mean() > 0.5
+
+    def test_animation_is_laid_out_once(self, course: Course, tmp_path: Path, monkeypatch) -> None:
+        """What is around the axes stays where it is, and a frame does not wait for it."""
+        laid_out, execute = [], ConstrainedLayoutEngine.execute
+        monkeypatch.setattr(
+            ConstrainedLayoutEngine,
+            "execute",
+            lambda engine, figure: (laid_out.append(figure), execute(engine, figure))[1],
+        )
+        animate_course(course, tmp_path / "course.gif", width=5.0)
+        assert len(laid_out) == 1
 
     def test_animations_are_gifs(self, course: Course, tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=r"course.mp4: expected a file that ends in .gif"):

@@ -75,6 +75,12 @@ class TestPlaneOf:
             plane(ConstraintHypotheses(boxes), space=FLAT).limits, [[1, 10], [-5, 0]]
         )
 
+    def test_an_axis_that_nearly_reaches_a_bound_ends_there(self) -> None:
+        boxes = ConstraintHypotheses([Box(x=(0.45, 3.0), y=(-2.0, 4.5)), Box(x=(7.0, 9.85))])
+        np.testing.assert_array_equal(plane(boxes, space=FLAT).limits, [[0, 10], [-2, 5]])
+        cells = grid(x=(0.45, 9.85, 2), y=(0.0, 1.0, 2))
+        np.testing.assert_array_equal(plane(cells, space=FLAT).limits[0], [0.45, 9.85])
+
     def test_the_turn_of_an_angle_begins_where_its_cells_do(self) -> None:
         drawn = plane(grid(theta=(-2.0, TWO_PI - 2.0, 4), x=(0.0, 9.0, 3)))
         np.testing.assert_allclose(drawn.limits[0], [-2.0, TWO_PI - 2.0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection, QuadMesh
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgba
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -26,7 +26,18 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import Gridworld, Problem, learn, picture, plots, polygons, sample, shading, windows
+from swerve import (
+    Gridworld,
+    Problem,
+    learn,
+    picture,
+    plots,
+    polygons,
+    sample,
+    shading,
+    windows,
+    wording,
+)
 from swerve.boxes import ActionBox, Box
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
@@ -365,6 +376,33 @@ class TestRanking:
         assert low == 0 < high
 
 
+class TestLabel:
+    @pytest.mark.parametrize("side", [1.0, 8.0])
+    def test_keeps_off_other_hypotheses_where_there_is_room(self, side: float) -> None:
+        """The best is in the middle, large ones all about it but for above or below."""
+        other = Box(theta=(0.2, 6.0), x=(side - 1.0, side + 2.0))
+        listed = [Box(theta=(2.9, 3.4), x=(4.5, 5.5)), other, Box(theta=(3.6, 6.0), x=(4.0, 6.0))]
+        columns = np.zeros((1, 400, 3), bool)
+        columns[0, :300, 0] = columns[0, :20, 1] = columns[0, :20, 2] = True
+        evidence = evidence_of_columns(columns, ConstraintHypotheses(listed))
+        figure = plot_inference(infer(evidence))
+        figure.draw_without_rendering()
+        axes = axes_of(figure)
+        (note,) = [text for text in axes.texts if isinstance(text, Annotation)]
+        box = note.get_window_extent().transformed(axes.transData.inverted())
+        for constraint in listed:
+            low, high, bottom, top = sides(constraint)
+            apart = box.x1 < low or box.x0 > high or box.y1 < bottom or box.y0 > top
+            assert apart, constraint.name
+
+
+class TestEdges:
+    def test_marks_of_the_axes_lie_above_outlines_at_their_edge(self) -> None:
+        axes = axes_of(plot_inference(inference_of()))
+        (outline,) = patches(axes, "ranked first")
+        assert axes.yaxis.get_zorder() > outline.get_zorder()
+
+
 class TestFiles:
     @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
     def test_the_suffix_tells_the_format(self, tmp_path: Path, suffix) -> None:
@@ -440,6 +478,40 @@ class TestShapes:
         assert np.isneginf(expected).any()
 
 
+class TestActionsInStates:
+    PLACE = StateAction(Box(theta=(1.0, 2.0), x=(3.0, 6.0)), ActionBox(u=(0.0, 1.0)))
+
+    def drawn(self, **changes) -> Figure:
+        listed = [self.PLACE, Box(theta=(3.0, 4.0), x=(3.0, 6.0))]
+        record = make_record(hypotheses=ConstraintHypotheses(listed), **changes)
+        samples = make_samples(num_hypotheses=2)
+        return plot_inference(infer(make_evidence(record, samples)))
+
+    def test_are_crossed_in_their_colour_and_named_and_not_filled(self) -> None:
+        figure = self.drawn()
+        axes = axes_of(figure)
+        (shades,) = [c for c in axes.collections if type(c) is PolyCollection]
+        assert len(shades.get_paths()) == 1
+        (crossed,) = patches(axes, "action u [0, 1) forbidden in")
+        np.testing.assert_allclose(extents(crossed), [1.0, 2.0, 3.0, 6.0])
+        assert crossed.get_hatch() == "xx"
+        assert to_rgba(crossed.get_facecolor())[3] == 0.0
+        assert "action u [0, 1) forbidden in" in legend(figure)
+
+    def test_the_outline_of_the_best_does_not_fill_them(self) -> None:
+        record = make_record(hypotheses=ConstraintHypotheses([self.PLACE]))
+        figure = plot_inference(infer(make_evidence(record, make_samples(num_hypotheses=1))))
+        (outline,) = patches(axes_of(figure), "ranked first")
+        assert to_rgba(outline.get_facecolor())[3] == 0.0
+
+    def test_known_ones_are_told_from_known_constraints(self) -> None:
+        axes = axes_of(self.drawn(known=(self.PLACE, Box(x=(4.0, 4.5)))))
+        (crossed,) = patches(axes, "known constraint on actions")
+        assert to_rgba(crossed.get_facecolor())[3] == 0.0
+        (filled,) = [p for p in patches(axes, "known") if p.get_label() == "known constraint"]
+        np.testing.assert_allclose(extents(filled)[2:], [4.0, 4.5])
+
+
 class TestPosterior:
     def test_shows_probabilities_and_says_that_of_none(self, tmp_path: Path) -> None:
         result = inference_of()
@@ -466,3 +538,37 @@ class TestPosterior:
         assert len(lines.get_segments()) == num_sides
         (best,) = patches(axes, "most probable")
         np.testing.assert_allclose(extents(best), sides(CELLS.constraint(int(chosen[0]))))
+
+    def test_a_best_hypothesis_without_a_place_is_named(self) -> None:
+        columns = np.zeros((1, 400, 2), bool)
+        columns[0, :390, 0] = columns[0, :20, 1] = True
+        listed = [ActionBox(u=(0.5, 1.0)), Box(theta=(1.0, 2.0), x=(3.0, 4.0))]
+        acting = dataclasses.replace(make_demonstration(0), actions=np.zeros((4, 1)))
+        result = infer(evidence_of_columns(columns, ConstraintHypotheses(listed)), [acting])
+        figure = plot_posterior(result)
+        said = " ".join(texts(figure).split())
+        assert "no place on these axes: hypothesis 0: action u [0.5, 1), " in said
+        assert not patches(axes_of(figure), "most probable")
+        assert "no place" not in texts(plot_posterior(inference_of()))
+
+    def test_the_best_is_called_most_probable_where_it_is(self) -> None:
+        for share, label in ((390, "most probable"), (20, "most probable of the hypotheses")):
+            columns = np.zeros((1, 400, 12), bool)
+            columns[0, :share, 4] = True
+            result = infer(evidence_of_columns(columns, CELLS), [make_demonstration(0)])
+            found = result.posterior
+            assert bool(found.hypotheses.max() > found.none) is (label == "most probable")
+            figure = plot_posterior(result)
+            assert label in legend(figure)
+            none = [text for text in legend(figure) if text.startswith("no constraint: ")]
+            assert none == [f"no constraint: {wording.probability(found.none, found.none_error)}"]
+
+    def test_a_colour_means_the_same_probability_in_every_picture(self) -> None:
+        for figure in (plot_posterior(inference_of()), plot_posterior(infer(make_evidence()))):
+            (mesh,) = [c for c in axes_of(figure).collections if type(c) is QuadMesh]
+            assert (mesh.norm.vmin, mesh.norm.vmax) == (0.0, 1.0)
+            ticks = {tick.get_text() for tick in figure.axes[1].get_yticklabels()}
+            assert {"0", "1 %", "100 %"} <= ticks
+            few = np.asarray(mesh.norm(np.array([0.002, 0.006, 0.03])))
+            assert (np.diff(few) > 0.05).all()
+            assert few.max() < 0.35

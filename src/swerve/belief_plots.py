@@ -7,11 +7,14 @@ Shapes: D demonstrations, H hypotheses.
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation, Transform
 
 from swerve import wording
 from swerve.arguments import whole_number
@@ -63,7 +66,8 @@ def plot_contributions(
     colours = [FOR if value > 0.0 else ALARM for value in drawn]
     rows = np.arange(len(shown))
     axes.barh(rows, drawn, 0.7, color=colours, hatch=["" if v >= 0.0 else "////" for v in drawn])
-    axes.plot(np.zeros(is_out.sum()), rows[is_out], "X", color=ALARM, ms=6, clip_on=False)
+    axes.use_sticky_edges = False  # leaves room at the left of zero
+    axes.plot(np.zeros(is_out.sum()), rows[is_out], "X", color=ALARM, ms=6, transform=_left(axes))
     _name_rows(axes, inference, shown)
     axes.axvline(0.0, color=INK, lw=0.8)
     axes.set(ylim=(len(shown) - 0.4, -0.6))
@@ -101,11 +105,28 @@ def _shares(inference: Inference, index: int) -> str:
     return ", ".join(parts)
 
 
+def _left(axes: Axes) -> Transform:
+    """Return where a cross at zero is drawn: beside the line at zero, among what speaks against."""
+    inches = cast(Figure, axes.figure).dpi_scale_trans
+    return axes.transData + ScaledTranslation(-7 / 72, 0.0, inches)
+
+
+def _names(inference: Inference) -> list[str]:
+    """Return the names of demonstrations, those that look the same numbered: 'demo (2)'."""
+    counts: Counter[str] = Counter()
+    names = []
+    for demonstration in inference.demonstrations:
+        name = wording.cut(demonstration.name, 24)
+        counts[name] += 1
+        names.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
+    return names
+
+
 def _name_rows(axes: Axes, inference: Inference, shown: np.ndarray) -> None:
-    names = [wording.cut(inference.demonstrations[d].name, 24) for d in shown]
-    axes.set_yticks(np.arange(len(shown)), names)
+    names = _names(inference)
+    axes.set_yticks(np.arange(len(shown)), [names[d] for d in shown])
     for label in axes.get_yticklabels():
         label.set_parse_math(False)
     left_out = len(inference.demonstrations) - len(shown)
     if left_out:
-        axes.set_title(f"{left_out} that say less are not drawn", fontsize=7.5, color=FAINT)
+        axes.set_title(f"{left_out} that say no more are not drawn", fontsize=7.5, color=FAINT)

@@ -15,16 +15,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
-from swerve import wording
+from swerve import polygons, wording
 from swerve.boxes import Box
 from swerve.figures import FAINT, INK, headed
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet
 from swerve.inference import Inference
 from swerve.plane import Plane
 from swerve.problem import ProblemRecord
 from swerve.shading import (
+    COLOURS,
     NUM_OUTLINED,
     Shading,
     draw_colour_bar,
@@ -32,8 +35,10 @@ from swerve.shading import (
     draw_values,
     patch_of,
 )
+from swerve.state_action import StateAction
 
 NUM_LINES = 100  # nominal trajectories drawn, of all tasks together
+LABEL_RASTER = 40  # points a side at which a label is kept off hypotheses
 NARROW = 6.0  # in; below it the colour bar goes under the picture
 
 KNOWN, DEMONSTRATION, NOMINAL = "#3c3c3c", "#0072b2", "#555555"
@@ -60,6 +65,7 @@ def picture(
     nominal = planes.nominal_paths(inference, NUM_LINES)
     problem = inference.evidence.problem
     plane = planes.plane_of(problem, [*demonstrations, *nominal, *also])
+    header = [*header[:1], *_undrawn(inference, shading, plane), *header[1:]]
     figure = headed(header, width, *_size(plane, width))
     axes = figure.add_subplot()
     notes = draw_values(axes, problem.hypotheses, shading, plane)
@@ -71,8 +77,18 @@ def picture(
     _finish(axes, plane, wording.wrapped(" ".join(notes), width - 1.5, 7.5))
     if len(inference.ranking):
         draw_colour_bar(axes, shading, "right" if is_wide else "bottom")
-    _legend(figure, axes, is_wide)
+    _legend(figure, axes, shading, is_wide)
     return figure
+
+
+def _undrawn(inference: Inference, shading: Shading, plane: Plane) -> list[tuple[str, float, str]]:
+    """Return a line that names the best hypothesis where it has no place on the plane."""
+    for best in shading.outlined[:1].tolist():
+        if not plane.outlines(inference.evidence.problem.hypotheses.constraint(best)):
+            what = f"{wording.short_hypothesis(inference, best)}, {shading.text(best)}"
+            label = shading.labels[0].capitalize()
+            return [(f"{label}, but it has no place on these axes: {what}", 9.0, INK)]
+    return []
 
 
 def _size(plane: Plane, width: float) -> tuple[float, float]:
@@ -88,15 +104,22 @@ def _size(plane: Plane, width: float) -> tuple[float, float]:
 
 
 def _draw_known(axes: Axes, problem: ProblemRecord, plane: Plane) -> None:
-    """Darken the known constraints, and the states of a lattice where nobody can be."""
-    for label, constraints in (
-        ("known constraint", problem.known),
-        ("wall", _walls(problem)),
+    """Darken the known constraints, and the states of a lattice where nobody can be.
+
+    Where some actions alone are forbidden, the states are crossed.
+    """
+    known = [part for constraint in problem.known for part in constraint.parts]
+    on_actions = [part for part in known if isinstance(part, StateAction)]
+    filled = {"facecolor": KNOWN, "linewidth": 0}
+    crossed = {"facecolor": "none", "edgecolor": KNOWN, "hatch": "xx"}
+    for label, constraints, style in (
+        ("known constraint", [part for part in known if part not in on_actions], filled),
+        ("known constraint on actions", on_actions, crossed),
+        ("wall", _walls(problem), filled),
     ):
         outlines = [part for constraint in constraints for part in plane.outlines(constraint)]
         if outlines:
-            patch = patch_of(outlines, facecolor=KNOWN, linewidth=0, label=label)
-            axes.add_patch(patch)
+            axes.add_patch(patch_of(outlines, label=label, **style))
 
 
 def _walls(problem: ProblemRecord) -> list[Box]:
@@ -140,7 +163,7 @@ def _annotate(
     demonstrations: list[planes.Path],
     plane: Plane,
 ) -> None:
-    """Write index and value beside the best hypothesis, where the fewest demonstrations pass."""
+    """Write index and value beside the best hypothesis, where it covers least of the others."""
     if not len(shading.outlined):
         return
     leaders = shading.outlined[:NUM_OUTLINED].tolist()
@@ -154,6 +177,7 @@ def _annotate(
     label = np.array([0.05 * max(map(len, text.split("\n"))), 0.11 * (1 + text.count("\n"))]) / size
     ties = [plane.rectangles(constraint(k)).reshape(-1, 2, 2).mean(axis=2) for k in leaders]
     busy = [*20 * ties, *(plane.pieces(path) for path in demonstrations)]
+    busy.append(_covered(inference.evidence.problem.hypotheses, plane))
     place, end = plane.place(rectangles, np.concatenate(busy), label)
     axes.annotate(
         text, end, place, xycoords="axes fraction", textcoords="axes fraction",
@@ -164,6 +188,17 @@ def _annotate(
     )  # fmt: skip
 
 
+def _covered(hypotheses: HypothesisSet, plane: Plane) -> np.ndarray:
+    """Return points [P, 2] of a raster that lie in constraints of a list; cells are everywhere."""
+    if not isinstance(hypotheses, ConstraintHypotheses):
+        return np.zeros((0, 2))
+    axes = [np.linspace(low, high, LABEL_RASTER) for low, high in plane.limits]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    outlines = [part for c in hypotheses.constraints[:NUM_OUTLINED] for part in plane.outlines(c)]
+    inside = [polygons.encloses(outline, *points.T) for outline in outlines]
+    return points[np.any(inside, axis=0)] if inside else points[:0]
+
+
 def _finish(axes: Axes, plane: Plane, notes: str) -> None:
     axes.set(xlim=plane.limits[0], ylim=plane.limits[1])
     x, y = plane.labels
@@ -171,13 +206,18 @@ def _finish(axes: Axes, plane: Plane, notes: str) -> None:
     axes.set_ylabel(y, fontsize=9, parse_math=False)
     axes.set_title(notes, fontsize=7.5, color=FAINT, loc="left", parse_math=False)
     axes.tick_params(labelsize=8)
+    axes.set_axisbelow(False)  # marks of the axes are seen where an outline runs along an edge
     if plane.is_map:
         axes.set_aspect("equal")
 
 
-def _legend(figure: Figure, axes: Axes, is_wide: bool) -> None:
+def _legend(figure: Figure, axes: Axes, shading: Shading, is_wide: bool) -> None:
+    unique: dict[str, Any] = {}
+    if shading.none is not None:
+        value, label = shading.none
+        unique[label] = Patch(facecolor=COLOURS(shading.norm(value)), edgecolor=INK, linewidth=1.8)
     handles, labels = axes.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
+    unique |= dict(zip(labels, handles, strict=True))
     style: dict[str, Any] = {"fontsize": 8 if is_wide else 7.5, "columnspacing": 1.2}
     style |= {"frameon": False, "ncols": 3 if is_wide else 2, "handlelength": 1.8}
     figure.legend(unique.values(), unique.keys(), loc="outside lower left", **style)

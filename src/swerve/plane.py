@@ -30,6 +30,7 @@ from swerve.state_action import StateAction
 
 TIME = ""
 RASTER = 360  # points a side at which constraints other than boxes are evaluated
+NEAR = 0.08  # of the bounds of a state: an axis that ends this near to a bound ends there
 MARGIN = 0.02  # of the range, around paths that leave the hypotheses behind
 ROUNDING = 1e-9
 ROUND = 120  # corners with which a ball is drawn
@@ -280,7 +281,10 @@ def _axis(
     if hypotheses.needs_code or not len(intervals):
         intervals = np.concatenate([intervals, bounds[None]])
     if name not in space.angles:
-        return math.nan, _hull(intervals, values)
+        low, high = _hull(intervals, values)
+        if not is_grid:
+            low, high = _whole(low, high, *bounds.tolist())
+        return math.nan, (low, high)
     turn = float((intervals if is_grid else bounds).mean()) - math.pi
     low = _wrap(intervals[:, 0], turn)
     moved = np.stack([low, low + intervals[:, 1] - intervals[:, 0]], axis=1)
@@ -306,6 +310,13 @@ def _hull(intervals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
     least, most = float(values.min(initial=low)), float(values.max(initial=high))
     margin = MARGIN * (most - least)
     return least - margin * (least < low), most + margin * (most > high)
+
+
+def _whole(low: float, high: float, least: float, most: float) -> tuple[float, float]:
+    """Return a range that reaches the bounds where it nearly does: it is not to look cropped."""
+    near = NEAR * (most - least)
+    low = least if least < low < least + near else low
+    return low, most if most - near < high < most else high
 
 
 def _wrap(values: np.ndarray, turn: float | np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from swerve import wording
 from swerve.figures import ALARM, FAINT, INK, WIDTH, headed, open_sides, written
 from swerve.inference import Inference
 from swerve.picture import picture
-from swerve.shading import Shading
+from swerve.shading import Shading, of_probability
 
 NUM_BARS = 12
 MAX_WARNING = 300  # characters of a warning; the report has all of them
@@ -53,7 +53,7 @@ def plot_posterior(
 ) -> Figure:
     """Draw hypotheses shaded by posterior probability, the 95 % credible set outlined.
 
-    The header tells the probability that there is no constraint.
+    The header and the legend tell the probability that there is no constraint.
 
     Args:
       inference: what to draw.
@@ -127,18 +127,21 @@ def _by_posterior(inference: Inference) -> Shading:
     """Return what `plot_posterior` draws: probabilities, and the credible set outlined."""
     found = inference.posterior
     values = np.where(inference.struck_out, -np.inf, found.hypotheses)
+    is_best = found.hypotheses.max(initial=0.0) >= found.none
+    best = "most probable" if is_best else "most probable of the hypotheses"
 
     def text(index: int) -> str:
         return wording.probability(found.hypotheses[index], found.error[index])
 
     return Shading(
         values,
-        Normalize(0.0, float(values.max(initial=0.0)) or 1.0),
+        of_probability(),
         "posterior probability",
         inference.credible_set().hypotheses,
-        ("most probable", "in the 95 % credible set"),
+        (best, "in the 95 % credible set"),
         text,
         is_set=True,
+        none=(found.none, f"no constraint: {wording.probability(found.none, found.none_error)}"),
     )
 
 

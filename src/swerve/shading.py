@@ -3,7 +3,8 @@
     colour = value of a hypothesis,    hatch = struck out,    outline = a chosen few
 
 On a grid a cell is shaded, and where a plane shows two states of several, the best of the cells
-that lie behind it; constraints of a list are drawn one over another, the best on top.
+that lie behind it; constraints of a list are drawn one over another, the best on top. Where some
+actions alone are forbidden in some states, these are crossed and not filled: being there is free.
 
 Shapes: H hypotheses, F hypotheses of a grid, V corners of a polygon.
 """
@@ -18,21 +19,26 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
+from swerve import wording
 from swerve.figures import INK
 from swerve.hypotheses import GridHypotheses, HypothesisSet
 from swerve.plane import Plane
 from swerve.sliding import WindowHypotheses
+from swerve.state_action import StateAction
 
 NUM_OUTLINED = 100  # hypotheses that are outlined
 MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
 DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
+
+MAX_ACTIONS = 3  # sets of forbidden actions that the legend names
+PROBABILITIES = {0.0: "0", 1e-3: "0.1 %", 0.01: "1 %", 0.1: "10 %", 0.3: "30 %", 1.0: "100 %"}
 
 STRUCK_OUT, HATCH = "#f3f3f3", "#b4b4b4"
 
@@ -49,6 +55,15 @@ def _colour_map() -> LinearSegmentedColormap:
 COLOURS = _colour_map()
 
 
+def of_probability() -> PowerNorm:
+    """Return the scale of probabilities: p^(1/3) from 0 to 1, whatever the highest is.
+
+    A colour means the same in every picture and certainty alone is darkest, yet hundreds of
+    hypotheses of less than a percent each can be told apart.
+    """
+    return PowerNorm(1.0 / 3.0, 0.0, 1.0)
+
+
 class Shading(NamedTuple):
     """What a picture shows of hypotheses.
 
@@ -60,6 +75,7 @@ class Shading(NamedTuple):
       labels: of the first one, and of the others.
       text: says the value of a hypothesis.
       is_set: whether those outlined are one answer together.
+      none: value of no constraint and what the legend says of it; None for nothing.
     """
 
     values: np.ndarray
@@ -69,6 +85,7 @@ class Shading(NamedTuple):
     labels: tuple[str, str]
     text: Callable[[int], str]
     is_set: bool
+    none: tuple[float, str] | None = None
 
 
 def draw_values(axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: Plane) -> list[str]:
@@ -107,10 +124,12 @@ def draw_outlined(
     shown = shading.outlined[: 1 if is_region else NUM_OUTLINED].tolist()
     for index in shown:
         is_best = index == shown[0]
-        outlines = plane.outlines(hypotheses.constraint(index))
+        constraint = hypotheses.constraint(index)
+        outlines = plane.outlines(constraint)
         if not outlines:
             continue
-        colour = COLOURS(shading.norm(shading.values[index]))
+        is_crossed = any(isinstance(part, StateAction) for part in constraint.parts)
+        colour = "none" if is_crossed else COLOURS(shading.norm(shading.values[index]))
         patch = patch_of(outlines, facecolor=colour, clip_on=False, zorder=1.6 + 0.1 * is_best)
         weight = 5.0 if is_best else 2.4
         edge = [Stroke(linewidth=weight + 2, foreground="white"), Stroke(linewidth=weight)]
@@ -154,20 +173,37 @@ def _draw_list(
     axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: Plane
 ) -> tuple[list[np.ndarray], list[str]]:
     """Shade constraints, the best on top; return the outlines struck out and notes."""
-    struck_out, left, shades, skipped = [], [], [], 0
+    struck_out, left, shades, crossed, skipped = [], [], [], [], 0
     for index in np.argsort(shading.values, kind="stable").tolist():
-        outlines = plane.outlines(hypotheses.constraint(index))
-        skipped += not outlines
-        if np.isneginf(shading.values[index]):
-            struck_out += outlines
-        else:
-            left += outlines
-            shades += [shading.values[index]] * len(outlines)
+        parts = [(p, plane.outlines(p)) for p in hypotheses.constraint(index).parts]
+        skipped += not any(outlines for _, outlines in parts)
+        for part, outlines in parts:
+            if np.isneginf(shading.values[index]):
+                struck_out += outlines
+            elif isinstance(part, StateAction) and outlines:
+                colour = COLOURS(shading.norm(shading.values[index]))
+                crossed.append((part.actions.name, outlines, colour))
+            else:
+                left += outlines
+                shades += [shading.values[index]] * len(outlines)
     drawn = PolyCollection(left, cmap=COLOURS, norm=shading.norm)
     drawn.set(array=np.array(shades), edgecolor="face", linewidth=0.3)
     axes.add_collection(drawn, autolim=False)
-    note = f"Not drawn: {skipped} hypotheses outside this picture or not of its states."
+    _draw_crossed(axes, crossed)
+    num = wording.counted(skipped, "hypothesis")
+    note = f"Not drawn: {num} outside this picture or not of its states."
     return struck_out, [note] if skipped else []
+
+
+def _draw_crossed(axes: Axes, crossed: list[tuple[str, list[np.ndarray], Any]]) -> None:
+    """Cross states, as (actions forbidden in them, outlines, colour), the last ones on top."""
+    is_short = len({actions for actions, _, _ in crossed}) <= MAX_ACTIONS
+    for actions, outlines, colour in crossed:
+        label = wording.cut(actions, 30) if is_short else "some actions"
+        patch = patch_of(outlines, facecolor="none", label=f"{label} forbidden in")
+        patch.set(edgecolor=colour, linewidth=1.2, hatch="xx", hatch_linewidth=2.0, zorder=1.1)
+        patch.set(path_effects=[Stroke(linewidth=2.6, foreground=INK), Normal()])
+        axes.add_patch(patch)
 
 
 def _cells(
@@ -196,6 +232,8 @@ def draw_colour_bar(axes: Axes, shading: Shading, location: str) -> None:
     bar = cast(Figure, axes.figure).colorbar(
         colours, ax=axes, location=location, aspect=35, pad=0.02
     )
+    if isinstance(shading.norm, PowerNorm):
+        bar.set_ticks(list(PROBABILITIES), labels=list(PROBABILITIES.values()))
     bar.set_label(shading.label, fontsize=8.5)
     bar.ax.tick_params(labelsize=8)
 
