@@ -120,7 +120,7 @@ class TestCrosses:
         dense = constraint.contains(points, SPACE).any(axis=0)
         found = constraint.crosses(starts, ends, SPACE)
         assert not (dense & ~found).any()
-        smaller = constraint.eroded({"theta": 0.01, "x": 0.01, "y": 0.01})
+        smaller = constraint.eroded({"theta": 0.01, "x": 0.01, "y": 0.01}, SPACE)
         assert not (smaller.crosses(starts, ends, SPACE) & ~dense).any()
         assert (found != dense).mean() < 0.01
         assert 0.02 < found.mean() < 0.98
@@ -189,25 +189,25 @@ class TestDistanceAndMargin:
 
     def test_what_is_eroded_is_deeper_than_the_margin(self) -> None:
         states = np.random.default_rng(2).uniform(-4.0, 4.0, (4000, 2))
-        ball = Ball(1.3, x=0.5, y=-0.25).eroded({"x": 0.1, "y": 0.3})
+        ball = Ball(1.3, x=0.5, y=-0.25).eroded({"x": 0.1, "y": 0.3}, SPACE)
         assert ball.radius == pytest.approx(1.0)
-        assert Ball(1.3, x=0.5).eroded({"y": 9.0}).radius == 1.3
-        half = HalfSpace(1.0, x=1.0, y=-2.0).eroded({"x": 0.1, "y": 0.3})
+        assert Ball(1.3, x=0.5).eroded({"y": 9.0}, SPACE).radius == 1.3
+        half = HalfSpace(1.0, x=1.0, y=-2.0).eroded({"x": 0.1, "y": 0.3}, SPACE)
         for dx, dy in ((0.1, 0.3), (-0.1, 0.3), (0.1, -0.3), (-0.1, -0.3)):
             moved = states + np.array([dx, dy])
             inside = half.contains(states, PLANE)
             assert (ALL[3].contains(moved, PLANE) | ~inside).all()
         assert half.offset == pytest.approx(1.7)
-        polygon = Polygon(ARROW).eroded({"x": 0.1}).eroded({"y": 0.1, "x": 0.05})
+        polygon = Polygon(ARROW).eroded({"x": 0.1}, SPACE).eroded({"y": 0.1, "x": 0.05}, SPACE)
         assert polygon.depth == pytest.approx(0.2)
-        assert polygon.eroded({"theta": 9.0}).depth == pytest.approx(0.2)
+        assert polygon.eroded({"theta": 9.0}, SPACE).depth == pytest.approx(0.2)
 
     def test_where_nothing_is_left(self) -> None:
         with pytest.raises(ValueError, match=r"margin: 1.3 for 'y' leaves nothing of ball .* 1\.3"):
-            Ball(1.3, x=0.0, y=0.0).eroded({"x": 0.1, "y": 1.3})
+            Ball(1.3, x=0.0, y=0.0).eroded({"x": 0.1, "y": 1.3}, SPACE)
         message = r"margin: 1 for 'x' leaves nothing of polygon .* expected less than 1, the dist"
         with pytest.raises(ValueError, match=message):
-            Polygon(SQUARE).eroded({"x": 1.0})
+            Polygon(SQUARE).eroded({"x": 1.0}, SPACE)
         with pytest.raises(ValueError, match=r"a depth of 1 leaves nothing: expected less than"):
             Polygon(SQUARE, depth=1.0)
         with pytest.raises(ValueError, match=r"expected a Polygon without depth"):

@@ -6,6 +6,8 @@ import math
 import operator
 from typing import Any
 
+import numpy as np
+
 
 def whole_number(value: Any, name: str, least: int) -> int:
     """Return a value as an int.
@@ -24,16 +26,21 @@ def whole_number(value: Any, name: str, least: int) -> int:
     return number
 
 
+def number_or_nan(value: Any) -> float:
+    """Return a value as a float, NaN where it is no number, such as text, True or a list."""
+    try:
+        return math.nan if isinstance(value, str | bool) or np.ndim(value) else float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
 def positive_number(value: Any, name: str) -> float:
     """Return a value as a float.
 
     Raises:
       ValueError: if it is no finite number above 0.
     """
-    try:
-        number = math.nan if isinstance(value, str | bool) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
+    number = number_or_nan(value)
     if not (math.isfinite(number) and number > 0.0):
         raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
     return number

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swerve.constraints import Constraint, nowhere
-from swerve.space import TWO_PI, Actions, StateSpace
+from swerve.space import TWO_PI, Actions, StateSpace, is_full_turn
 
 if TYPE_CHECKING:
     from swerve.mdp import MDP
@@ -96,11 +96,15 @@ class Box(Constraint):
         ]
         return np.linalg.norm(parts, axis=0)
 
-    def eroded(self, margin: Mapping[str, float]) -> Box:
-        """Return the box less a margin on both sides of every interval; open sides stay open."""
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Box:
+        """Return the box less a margin on both sides of every interval that has sides.
+
+        Open sides stay open, and a full turn is all there is.
+        """
         intervals = {}
         for name, (low, high) in self.intervals.items():
-            width = margin.get(name, 0.0)
+            has_sides = not (name in space.angles and is_full_turn(low, high))
+            width = margin.get(name, 0.0) if has_sides else 0.0
             if not low + width < high - width:
                 raise ValueError(
                     f"margin: {width:g} for {name!r} leaves nothing of {self.name}: expected less "
@@ -167,9 +171,9 @@ class ActionBox(Constraint):
         table = np.asarray(mdp.actions, float)
         return np.asarray(self.forbids(Actions(tuple(mdp.action_names), table)))
 
-    def eroded(self, margin: Mapping[str, float]) -> ActionBox:
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> ActionBox:
         """Return itself: the margin is about states."""
-        del margin
+        del margin, space
         return self
 
     def to_json(self) -> dict[str, Any]:

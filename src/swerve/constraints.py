@@ -12,6 +12,7 @@ Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 from __future__ import annotations
 
 import functools
+import math
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from swerve.arguments import whole_number
+from swerve.arguments import number_or_nan, whole_number
 from swerve.space import Actions, StateSpace
 
 
@@ -83,16 +84,35 @@ class Constraint(ABC):
             f"distances to, got {type(self).__name__}"
         )
 
-    def eroded(self, margin: Mapping[str, float]) -> Constraint:
+    def eroded(self, margin: Mapping[str, float], space: StateSpace) -> Constraint:
         """Return the set of states deeper inside than measurement noise explains.
 
         Args:
           margin: for some states, how deep, in the state's unit.
+          space: what the states are: an interval that goes round an angle has no ends to lose.
 
         Raises:
-          ValueError: if nothing is left, or there is no telling, as for predicates.
+          ValueError: if a margin is negative or no number, or is of no state, if nothing is left,
+            or there is no telling, as for predicates.
         """
-        del margin
+        if not isinstance(margin, Mapping):
+            raise ValueError(
+                f"margin: expected widths by state, as in {{'x': 0.05}}, got {margin!r}"
+            )
+        for name, width in margin.items():
+            if name not in space.names:
+                raise ValueError(
+                    f"margin: no state named {name!r}; the states are {', '.join(space.names)}"
+                )
+            if not 0.0 <= number_or_nan(width) < math.inf:
+                raise ValueError(
+                    f"margin: expected a width >= 0 for {name!r}, in its unit, got {width!r}"
+                )
+        return self._eroded(margin, space)
+
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Constraint:
+        """Return what `eroded` does, of a margin that has been checked."""
+        del margin, space
         raise ValueError(
             f"{self.name}: a {type(self).__name__} cannot be made smaller by a margin: use "
             "constraints with a shape, such as Box"
@@ -172,9 +192,9 @@ class Union(Constraint):
         """Return the distance [...] of states to the nearest of the parts."""
         return np.min([part.distance(states, space) for part in self._constraints], axis=0)
 
-    def eroded(self, margin: Mapping[str, float]) -> Union:
-        """Return the union of the parts, each less the margin."""
-        return Union(self._name, [part.eroded(margin) for part in self._constraints])
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Union:
+        """Return the union of the parts, each less the margin, also where one adjoins another."""
+        return Union(self._name, [part.eroded(margin, space) for part in self._constraints])
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""

@@ -105,11 +105,7 @@ class HypothesisSet(ABC):
           ValueError: if a margin is negative or no number, is of no state, or leaves nothing of a
             hypothesis.
         """
-        for name, width in margin.items():
-            space.column(name)
-            if not (math.isfinite(width) and width >= 0.0):
-                raise ValueError(f"margin: expected a width >= 0 for {name!r}, got {width}")
-        each = (self.constraint(index).eroded(margin) for index in range(len(self)))
+        each = (self.constraint(index).eroded(margin, space) for index in range(len(self)))
         return ConstraintHypotheses(each)
 
 

@@ -93,8 +93,15 @@ class Ball(Constraint):
         to_centre = np.linalg.norm(self._offsets(np.asarray(states, float), space), axis=0)
         return np.maximum(0.0, to_centre - self.radius)
 
-    def eroded(self, margin: Mapping[str, float]) -> Ball:
-        """Return the ball whose radius is less by the largest margin of the states it names."""
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Ball:
+        """Return the ball whose radius is less by the largest margin of the states it names.
+
+        One that names angles alone and reaches round all of them has no edge: it stays as it is.
+        """
+        if set(self.centre) <= set(space.angles) and self.radius > math.pi * math.sqrt(
+            len(self.centre)
+        ):
+            return self
         name = max(self.centre, key=lambda name: margin.get(name, 0.0))
         width = margin.get(name, 0.0)
         if not width < self.radius:
@@ -179,7 +186,7 @@ class HalfSpace(Constraint):
         missing = self.offset - self._sum(np.asarray(states, float), space)
         return np.maximum(0.0, missing) / math.hypot(*self.normal.values())
 
-    def eroded(self, margin: Mapping[str, float]) -> HalfSpace:
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> HalfSpace:
         """Return the half-space offset by the sum of |n_i| times the margins."""
         widths = (abs(factor) * margin.get(name, 0.0) for name, factor in self.normal.items())
         return HalfSpace(self.offset + sum(widths), **self.normal)
@@ -289,7 +296,7 @@ class Polygon(Constraint):
         square = polygons.square_to_edge(self.vertices, x, y)
         return np.where(self._holds(x, y), 0.0, np.sqrt(square))
 
-    def eroded(self, margin: Mapping[str, float]) -> Polygon:
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Polygon:
         """Return what is farther from every edge than the largest margin of its two states."""
         name = max(self.names, key=lambda name: margin.get(name, 0.0))
         width = margin.get(name, 0.0)
