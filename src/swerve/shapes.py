@@ -230,6 +230,8 @@ class Polygon(Constraint):
                 f"Polygon: a depth of {self.depth:g} leaves nothing: expected less than "
                 f"{polygons.deepest(self.vertices):.3g}"
             )
+        low, high = self.vertices.min(axis=0) + self.depth, self.vertices.max(axis=0) - self.depth
+        self._limits = np.stack([low, high], axis=1).tolist()
 
     def __repr__(self) -> str:
         """Return Python that makes this polygon again, to the last digit."""
@@ -263,7 +265,8 @@ class Polygon(Constraint):
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] is inside, deeper than `depth`."""
         x, y = self._points(states, space)
-        return self._holds(x, y)
+        near = self._is_near((x, x), (y, y))
+        return polygons.where_near(self._holds, near, (x, y), len(self.vertices))
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where the segment meets the polygon.
@@ -273,16 +276,9 @@ class Polygon(Constraint):
         """
         xp = starts.__array_namespace__()
         (x, y), (end_x, end_y) = self._points(starts, space), self._points(ends, space)
-        dx, dy = end_x - x, end_y - y
-        cuts = polygons.cuts(self.vertices, self.depth, (x, y), (dx, dy))
-        share = xp.sort(xp.clip(xp.stack(cuts, axis=-1), 0.0, 1.0), axis=-1)
-        bounds = [xp.zeros_like(share[..., :1]), share, xp.ones_like(share[..., :1])]
-        share = xp.concatenate(bounds, axis=-1)
-        middle = 0.5 * (share[..., 1:] + share[..., :-1])
-        points = [a[..., None] + middle * d[..., None] for a, d in ((x, dx), (y, dy))]
-        hit = self.contains(starts, space) | self.contains(ends, space)
-        is_piece = share[..., 1:] > share[..., :-1]  # a corner that is touched is none
-        return hit | (is_piece & self._holds(*points)).any(axis=-1)
+        spans = [(xp.minimum(a, b), xp.maximum(a, b)) for a, b in ((x, end_x), (y, end_y))]
+        near = self._is_near(*spans)
+        return polygons.where_near(self._meets, near, (x, y, end_x, end_y), len(self.vertices))
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n] over its two states.
@@ -293,8 +289,13 @@ class Polygon(Constraint):
         if self.depth:
             raise ValueError(f"{self.name}: expected a Polygon without depth to tell distances to")
         x, y = self._points(np.asarray(states, float), space)
-        square = polygons.square_to_edge(self.vertices, x, y)
-        return np.where(self._holds(x, y), 0.0, np.sqrt(square))
+
+        def outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            square = polygons.square_to_edge(self.vertices, x, y)
+            return np.where(self._holds(x, y), 0.0, np.sqrt(square))
+
+        flat = [np.reshape(value, -1) for value in (x, y)]
+        return polygons.blockwise(outside, flat, len(self.vertices)).reshape(np.shape(x))
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Polygon:
         """Return what is farther from every edge than the largest margin of its two states."""
@@ -317,10 +318,33 @@ class Polygon(Constraint):
         first, second = (states[..., space.column(name)] for name in self.names)
         return first, second
 
+    def _is_near(self, x: tuple[Any, Any], y: tuple[Any, Any]) -> Any:
+        """Return [...] whether (least, greatest) x and y reach the rectangle that it fills."""
+        (low_x, high_x), (low_y, high_y) = self._limits
+        in_x = (x[1] >= low_x) & (x[0] <= high_x)
+        return in_x & (y[1] >= low_y) & (y[0] <= high_y)
+
+    def _meets(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] whether segments have a point inside, both ends included."""
+        hit = self._holds(x, y) | self._holds(end_x, end_y)
+        points = (x, y, end_x, end_y)
+        return hit | polygons.where_near(self._passes, ~hit, points, len(self.vertices))
+
+    def _passes(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] whether segments have a part inside, their ends not."""
+        xp = x.__array_namespace__()
+        dx, dy = end_x - x, end_y - y
+        share = polygons.cuts(self.vertices, self.depth, (x, y), (dx, dy))
+        bounds = xp.zeros_like(x)[None], share, xp.ones_like(x)[None]
+        share = xp.concatenate(bounds)
+        middle = 0.5 * (share[1:] + share[:-1])
+        is_piece = share[1:] > share[:-1]  # a corner that is touched is none
+        return (is_piece & self._holds(x + middle * dx, y + middle * dy)).any(axis=0)
+
     def _holds(self, x: Any, y: Any) -> Any:
         inside = polygons.encloses(self.vertices, x, y)
         if self.depth:
-            inside = inside & (polygons.square_to_edge(self.vertices, x, y) > self.depth**2)
+            inside = inside & polygons.is_farther(self.vertices, self.depth, x, y)
         return inside
 
 
