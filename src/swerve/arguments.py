@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,29 @@ def number_or_nan(value: Any) -> float:
         return math.nan if isinstance(value, str | bool) or np.ndim(value) else float(value)
     except (TypeError, ValueError):
         return math.nan
+
+
+def numbers(values: Any, count: int) -> list[float] | None:
+    """Return values as so many floats, NaN for each that is no number; None if there are others."""
+    try:
+        items = [] if isinstance(values, str) else list(values)
+    except TypeError:
+        return None
+    return [number_or_nan(item) for item in items] if len(items) == count else None
+
+
+def two_names(value: Any, name: str) -> tuple[str, str]:
+    """Return the names of two states.
+
+    Raises:
+      ValueError: if it is no list of two different names.
+    """
+    names = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else ()
+    if len(names) != 2 or not all(isinstance(item, str) for item in names) or names[0] == names[1]:
+        raise ValueError(
+            f"{name}: expected the names of two states, got {value!r}: give them as in ('x', 'y')"
+        )
+    return names
 
 
 def positive_number(value: Any, name: str) -> float:

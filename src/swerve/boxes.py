@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swerve.arguments import numbers
 from swerve.constraints import Constraint, nowhere
 from swerve.space import TWO_PI, Actions, StateSpace, is_full_turn
 
@@ -205,11 +206,15 @@ def _checked_intervals(
         raise ValueError(f"{kind}: expected at least one interval, as in {kind}(x=(0.0, 1.0))")
     checked = {}
     for name, interval in intervals.items():
-        if np.shape(interval) != (2,):
+        pair = numbers(interval, 2)
+        if pair is None:
             raise ValueError(f"{kind}: expected {name}=(low, high), got {interval!r}")
-        low, high = (float(value) for value in interval)
+        low, high = pair
         if not low < high:
-            raise ValueError(f"{kind}: expected low < high for {name!r}, got ({low}, {high})")
+            raise ValueError(
+                f"{kind}: expected low < high for {name!r}, got {interval!r}: give two numbers, "
+                "+-inf for an open side"
+            )
         checked[name] = (low, high)
     return checked
 

@@ -134,12 +134,16 @@ class Union(Constraint):
     """
 
     def __init__(self, name: str, constraints: Sequence[Constraint]) -> None:
+        if not isinstance(name, str):
+            raise ValueError(f"Union: expected a name first, got {name!r}")
         self._name = name
-        self._constraints = tuple(constraints)
-        if not self._constraints or not all(
-            isinstance(part, Constraint) for part in self._constraints
-        ):
-            raise ValueError(f"Union {name!r}: expected constraints, got {constraints!r}")
+        parts = tuple(constraints) if isinstance(constraints, Iterable) else ()
+        if not parts or not all(isinstance(part, Constraint) for part in parts):
+            raise ValueError(
+                f"Union {name!r}: expected constraints, got {constraints!r}: give a list of at "
+                "least one, such as [Box(x=(0.0, 1.0))]"
+            )
+        self._constraints: tuple[Constraint, ...] = parts
         self.about_actions = any(part.about_actions for part in self._constraints)
         self.needs_code = any(part.needs_code for part in self._constraints)
 
@@ -210,11 +214,18 @@ class Predicate(Constraint):
       function: maps states [..., n] to booleans [...]; written with operators and
         `states.__array_namespace__()` or `jax.numpy`, so that it also works while JAX traces it.
       num_points: how many evenly spaced points of a segment between two states are tried.
+
+    Raises:
+      ValueError: if the name is no text, the function none, or the number not 1 or more.
     """
 
     needs_code = True
 
     def __init__(self, name: str, function: Callable[[Any], Any], num_points: int = 8) -> None:
+        if not isinstance(name, str):
+            raise ValueError(f"Predicate: expected a name first, got {name!r}")
+        if not callable(function):
+            raise ValueError(f"Predicate {name!r}: expected a function of states, got {function!r}")
         self._name = name
         self.function = function
         self.num_points = whole_number(num_points, f"Predicate {name!r}: num_points", 1)
@@ -288,11 +299,16 @@ def check_constraints(
     """
     if isinstance(constraints, Constraint):
         raise ValueError(f"{where}: expected a list of constraints, got {constraints!r} alone")
+    if not isinstance(constraints, Iterable):
+        raise ValueError(f"{where}: expected a list of constraints, got {constraints!r}")
     checked = tuple(constraints)
     for k, constraint in enumerate(checked):
         if not isinstance(constraint, Constraint):
             raise ValueError(f"{where}[{k}]: expected a Constraint, got {constraint!r}")
-        constraint.check(space, action_names)
+        try:
+            constraint.check(space, action_names)
+        except ValueError as error:
+            raise ValueError(f"{where}[{k}]: {error}") from None
     return checked
 
 

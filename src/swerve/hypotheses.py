@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from swerve.arguments import whole_number
+from swerve.arguments import numbers, whole_number
 from swerve.boxes import Box, interval_distance
 from swerve.constraint_data import constraint_from_json
 from swerve.constraints import Constraint, check_constraints, violates
@@ -247,6 +247,11 @@ class ConstraintHypotheses(HypothesisSet):
     """A list of constraints. The cost of judging a trajectory grows with their number."""
 
     def __init__(self, constraints: Iterable[Constraint]) -> None:
+        if isinstance(constraints, Constraint) or not isinstance(constraints, Iterable):
+            raise ValueError(
+                f"hypotheses: expected a list of constraints, or one of swerve.grid and "
+                f"swerve.windows, got {constraints!r}"
+            )
         self.constraints = tuple(constraints)
         if not self.constraints:
             raise ValueError("hypotheses: expected at least one constraint, got an empty list")
@@ -313,6 +318,24 @@ def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
       ValueError: if there is no axis, or one has low >= high or no cell.
     """
     return GridHypotheses(axes)
+
+
+def checked_range(kind: str, name: str, axis: Any, third: str) -> tuple[float, float, float]:
+    """Return (low, high) of an axis, checked, and a third number, NaN if it is none.
+
+    Raises:
+      ValueError: if there are not three numbers, or low and high are not finite and in order.
+    """
+    given = numbers(axis, 3)
+    if given is None:
+        raise ValueError(f"{kind}: expected {name}=(low, high, {third}), got {axis!r}")
+    low, high, last = given
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        first, second, _ = axis
+        raise ValueError(
+            f"{kind}: expected finite low < high for {name!r}, got ({first!r}, {second!r})"
+        )
+    return low, high, last
 
 
 def distance_to_boxes(
@@ -396,11 +419,7 @@ def _set_bits(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
 
 
 def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, int]:
-    if len(axis) != 3:
-        raise ValueError(f"grid: expected {name}=(low, high, number of cells), got {axis!r}")
-    low, high, cells = (float(value) for value in axis)
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"grid: expected finite low < high for {name!r}, got ({low}, {high})")
+    low, high, cells = checked_range("grid", name, axis, "number of cells")
     if not cells.is_integer() or cells < 1:
         raise ValueError(f"grid: expected a whole number of cells for {name!r}, got {axis[2]!r}")
     return low, high, int(cells)

@@ -19,6 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from swerve.arguments import numbers
+
 FLAT = 1e-12  # of the square of the extent: less area than this is none
 PRECISION = 0.01  # to which the deepest point is looked for
 BEYOND = 0.01  # of an edge: how far beyond its ends a cut still counts, whatever is rounded
@@ -32,7 +34,7 @@ def checked_vertices(vertices: Any) -> np.ndarray:
       ValueError: if there are fewer than 3 vertices, one is repeated or not finite, they lie on a
         line, or the polygon crosses itself.
     """
-    corners = np.array(vertices, float)
+    corners = _as_array(vertices)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise ValueError(
             "Polygon: expected at least 3 vertices, each a pair of numbers, got an array of shape "
@@ -53,6 +55,25 @@ def checked_vertices(vertices: Any) -> np.ndarray:
         raise ValueError("Polygon: expected an area, but all vertices lie on one line")
     _check_simple(corners)
     return corners
+
+
+def _as_array(vertices: Any) -> np.ndarray:
+    """Return vertices as an array, or raise ValueError with the first that is no pair."""
+    try:
+        corners = np.asarray(vertices)
+        if corners.dtype.kind in "iuf":
+            return corners.astype(float)
+    except ValueError:
+        pass  # the rows are of several lengths
+    listed = list(vertices) if isinstance(vertices, Sequence) else []
+    bad = [
+        k for k, vertex in enumerate(listed) if not np.isfinite(numbers(vertex, 2) or np.nan).all()
+    ]
+    got = f"vertex {bad[0]} is {listed[bad[0]]!r}" if bad else f"got {vertices!r}"
+    raise ValueError(
+        f"Polygon: expected at least 3 vertices, each a pair of numbers, but {got}: give them as "
+        "in [(0.0, 0.0), (2.0, 0.0), (1.0, 1.0)]"
+    )
 
 
 def where_near(judge: Callable[..., Any], near: Any, values: Sequence[Any], num_edges: int) -> Any:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from swerve import polygons
+from swerve.arguments import number_or_nan, two_names
 from swerve.boxes import call, short
 from swerve.constraints import Constraint
 from swerve.space import TWO_PI, StateSpace
@@ -41,9 +42,12 @@ class Ball(Constraint):
     """
 
     def __init__(self, radius: float, /, **centre: float) -> None:
-        self.radius = float(radius)
+        self.radius = number_or_nan(radius)
         if not (math.isfinite(self.radius) and self.radius > 0.0):
-            raise ValueError(f"Ball: expected a finite radius > 0, got {radius}")
+            raise ValueError(
+                f"Ball: expected a finite radius > 0, got {radius!r}: give it first, in the unit "
+                "of the states, as in Ball(0.5, x=1.0, y=2.0)"
+            )
         self.centre = _checked_axes("Ball", "a centre, as in Ball(0.5, x=1.0, y=2.0)", centre)
 
     def __repr__(self) -> str:
@@ -132,19 +136,27 @@ class HalfSpace(Constraint):
 
     Args:
       offset: what the sum must reach.
-      **normal: for each named state its factor n_i; no angles, which have no sides.
+      **normal: for each named state its factor n_i; no angles, which have no sides. A factor of 0
+        leaves its state free, as if it were not named.
 
     Raises:
       ValueError: if no state is named, the normal is zero, or a number is not finite.
     """
 
     def __init__(self, offset: float, /, **normal: float) -> None:
-        self.offset = float(offset)
+        self.offset = number_or_nan(offset)
         if not math.isfinite(self.offset):
-            raise ValueError(f"HalfSpace: expected a finite offset, got {offset}")
-        self.normal = _checked_axes("HalfSpace", "a normal, as in HalfSpace(1.0, x=1.0)", normal)
-        if not any(self.normal.values()):
-            raise ValueError(f"HalfSpace: expected a normal that is not zero, got {self.normal}")
+            raise ValueError(
+                f"HalfSpace: expected a finite offset, got {offset!r}: give it first, as in "
+                "HalfSpace(1.0, x=1.0) for x >= 1"
+            )
+        factors = _checked_axes("HalfSpace", "a normal, as in HalfSpace(1.0, x=1.0)", normal)
+        self.normal = {name: factor for name, factor in factors.items() if factor != 0.0}
+        if not self.normal:
+            raise ValueError(
+                f"HalfSpace: expected a normal that is not zero, got {factors}, which says nothing "
+                "of any state: give at least one of them another factor"
+            )
 
     def __repr__(self) -> str:
         """Return Python that makes this half-space again, to the last digit."""
@@ -218,13 +230,11 @@ class Polygon(Constraint):
     def __init__(
         self, vertices: Any, names: Sequence[str] = ("x", "y"), depth: float = 0.0
     ) -> None:
-        self.names = tuple(names)
-        if isinstance(names, str) or len(set(self.names)) != 2 or len(self.names) != 2:
-            raise ValueError(f"Polygon: expected the names of two states, got {names!r}")
+        self.names = two_names(names, "Polygon: names")
         self.vertices = polygons.checked_vertices(vertices)
-        self.depth = float(depth)
+        self.depth = number_or_nan(depth)
         if not 0.0 <= self.depth < math.inf:
-            raise ValueError(f"Polygon: expected a finite depth >= 0, got {depth}")
+            raise ValueError(f"Polygon: expected a finite depth >= 0, got {depth!r}")
         if self.depth and not self.depth < polygons.deepest(self.vertices):
             raise ValueError(
                 f"Polygon: a depth of {self.depth:g} leaves nothing: expected less than "
@@ -352,10 +362,11 @@ def _checked_axes(kind: str, expected: str, values: Mapping[str, float]) -> dict
     """Return finite numbers by state."""
     if not values:
         raise ValueError(f"{kind}: expected {expected}, got none")
-    for name, value in values.items():
+    checked = {name: number_or_nan(value) for name, value in values.items()}
+    for name, value in checked.items():
         if not math.isfinite(value):
-            raise ValueError(f"{kind}: expected a finite number for {name!r}, got {value}")
-    return {name: float(value) for name, value in values.items()}
+            raise ValueError(f"{kind}: expected a finite number for {name!r}, got {values[name]!r}")
+    return checked
 
 
 def _check_no_angles(kind: str, names: Sequence[str] | Mapping[str, float], space: Any) -> None:

@@ -19,7 +19,13 @@ import numpy as np
 
 from swerve.arguments import whole_number
 from swerve.boxes import Box
-from swerve.hypotheses import GridHypotheses, HypothesisSet, distance_to_boxes, unpack
+from swerve.hypotheses import (
+    GridHypotheses,
+    HypothesisSet,
+    checked_range,
+    distance_to_boxes,
+    unpack,
+)
 from swerve.space import TWO_PI, Actions, StateSpace
 
 AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
@@ -172,14 +178,10 @@ def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypot
 
 
 def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, float]:
-    if len(axis) != 3:
-        raise ValueError(f"windows: expected {name}=(low, high, width), got {axis!r}")
-    low, high, width = (float(value) for value in axis)
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"windows: expected finite low < high for {name!r}, got ({low}, {high})")
+    low, high, width = checked_range("windows", name, axis, "width")
     if not 0.0 < width <= (high - low) * (1.0 + ROUNDING):
         raise ValueError(
             f"windows: expected a width above 0 and at most {high - low:g}, the range of {name!r}, "
-            f"got {width}"
+            f"got {axis[2]!r}"
         )
     return low, high, width
