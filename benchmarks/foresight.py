@@ -1,6 +1,7 @@
 """How well P(avoid from here on) is foreseen along real demonstrations, against exact values.
 
     python benchmarks/foresight.py --data DIR [--demos N] [--hypotheses I,J,...] [--work DIR]
+                                   [--figure FILE]
 
 The pendulum with torques up to 10 and the demonstrations in DIR. The grid solver is the nominal
 and the reference: with c among the known constraints, log P_0(avoid c after t | s_t, t) is the
@@ -9,7 +10,10 @@ hopeful side, by up to 0.7 nats here, so trajectories of each value's own policy
 out: V gains log mean exp(l), see `continuation`. Hypotheses that no demonstration enters are
 compared, the one that the demonstrators avoid (cell 55) among them; "open" are the states at which
 the exact log P is below -0.05 nats, since elsewhere the cell is as good as passed. A second table
-tells by how many nats the evidence for cell 55 has risen when a demonstration is nearest to it.
+tells by how many nats the evidence for cell 55 has risen when a demonstration is nearest to it, by
+the largest difference of a state from its centre in units of the bounds, and when it passes: the
+last moment at which the exact log P(avoid after t) is below half of what it was at the start.
+--figure draws the evidence over time.
 """
 
 from __future__ import annotations
@@ -22,6 +26,8 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
@@ -38,6 +44,10 @@ OPEN = -0.05  # nats: above this the exact log P leaves next to nothing to be fo
 NUM_WEIGHED = 500  # trajectories that weigh out the error of a soft value
 EVERY = 10  # of the recorded states, one is compared
 QUANTILES = (0.5, 0.9, 0.95, 1.0)
+SPAN = 3.0  # s drawn before and after a demonstration is nearest
+STRONG = 0.8  # nats: demonstrations that say so much are drawn in black
+BOLD, FAINT = ("#000000", 1.0, 3), ("#b0b0b0", 0.7, 2)  # colour, width, which lies above
+STYLES = (("-", "#000000"), ("--", "#0072b2"), (":", "#d55e00"))
 
 
 def places(demonstration: Demonstration, problem: swerve.Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -94,6 +104,7 @@ def main() -> None:
     parser.add_argument("--demos", type=int, default=6)
     parser.add_argument("--hypotheses", default="")
     parser.add_argument("--work", type=Path, help="keep evidence and foresight here")
+    parser.add_argument("--figure", type=Path)
     parser.add_argument("--rollouts", type=int, default=1000, help="for each answer on the spot")
     arguments = parser.parse_args()
     problem = swerve.load_problem("pendulum?max_torque=10")
@@ -118,7 +129,7 @@ def main() -> None:
     exact = {index: exact_values(nominal, index, demonstrations, unconstrained) for index in chosen}
     shown = f"learned in {seconds:.0f} s" if seconds else "learned before"
     table = Table(
-        title=f"error of log P(avoid after t) [nats], {len(files)} demonstrations, {shown}"
+        title=f"error of log P(avoid after t) in nats, {len(files)} demonstrations, {shown}"
     )
     for column in ("foresight", "hypothesis", *(f"{share:.0%}" for share in QUANTILES)):
         table.add_column(column)
@@ -136,7 +147,10 @@ def main() -> None:
         table.add_row(name, "all", *quantile_row(every))
         table.add_row(name, f"all, open ({is_open.mean():.0%})", *quantile_row(every[is_open]))
     Console(width=110).print(table)
-    Console(width=110).print(rise_table(problem, demonstrations, evidence, foreseers, exact))
+    risen, ends = evidence_over_time(demonstrations, evidence, foreseers, exact[TRUTH])
+    Console(width=130).print(rise_table(problem, demonstrations, risen, ends, exact[TRUTH]))
+    if arguments.figure is not None:
+        draw_figure(problem, demonstrations, risen, ends, arguments.figure)
 
 
 def learned(
@@ -177,31 +191,106 @@ def exact_values(
     return [np.minimum(obeying - free, 0.0) for obeying, free in pairs]
 
 
-def rise_table(
-    problem: swerve.Problem,
+def evidence_over_time(
     demonstrations: list[Demonstration],
     evidence: swerve.Evidence,
     foreseers: dict[str, list[np.ndarray]],
-    exact: dict[int, list[np.ndarray]],
-) -> Table:
-    """Return by how much the evidence for the truth has risen where demonstrations pass it."""
-    sources = {"exact": exact[TRUTH]} | {
+    exact: list[np.ndarray],
+) -> tuple[dict[str, list[np.ndarray]], np.ndarray]:
+    """Return the evidence for the truth [L] along each demonstration, by source, and in the end."""
+    ends = [-evidence.log_ratio[evidence.match(item.task), TRUTH] for item in demonstrations]
+    left = {"exact": exact} | {
         name: [value[:, TRUTH] for value in values] for name, values in foreseers.items()
     }
-    table = Table(title=f"evidence for cell {TRUTH} [nats]: when nearest to it, and at the end")
-    for column in ("demonstration", "nearest at [s]", *sources, "end"):
-        table.add_column(column)
+    risen = {
+        name: [value + end for value, end in zip(values, ends, strict=True)]
+        for name, values in left.items()
+    }
+    return risen, np.array(ends)
+
+
+def nearest_row(problem: swerve.Problem, states: np.ndarray) -> int:
+    """Return which of some states [L, n] is nearest to the centre of the true cell."""
     box = problem.hypotheses.constraint(TRUTH)
     assert isinstance(box, swerve.Box)
     centre = np.array([np.mean(interval) for interval in box.intervals.values()])
+    distance = np.abs(problem.mdp.space.difference(centre, states)) / problem.mdp.space.extent
+    return int(distance.max(axis=1).argmin())
+
+
+def passing_row(left: np.ndarray) -> int:
+    """Return the last of log P(avoid after t) [L] that is below half the first."""
+    return int(np.flatnonzero(left <= 0.5 * left[0])[-1])
+
+
+def rise_table(
+    problem: swerve.Problem,
+    demonstrations: list[Demonstration],
+    risen: dict[str, list[np.ndarray]],
+    ends: np.ndarray,
+    exact: list[np.ndarray],
+) -> Table:
+    """Return by how much the evidence for the truth has risen where demonstrations pass it."""
+    table = Table(
+        title=f"evidence for cell {TRUTH} in nats: when nearest to it, passing it, in the end"
+    )
+    for column in ("demonstration", "nearest at [s]", *risen, "passes at [s]", *risen, "end"):
+        table.add_column(column)
+    totals = np.zeros((2, len(risen)))
     for k, item in enumerate(demonstrations):
         states, steps = places(item, problem)
-        distance = np.abs(problem.mdp.space.difference(centre, states)) / problem.mdp.space.extent
-        nearest = int(distance.max(axis=1).argmin())
-        total = -evidence.log_ratio[evidence.match(item.task), TRUTH]
-        risen = [f"{values[k][nearest] + total:.3f}" for values in sources.values()]
-        table.add_row(item.name, f"{steps[nearest] * problem.mdp.dt:.2f}", *risen, f"{total:.3f}")
+        rows = nearest_row(problem, states), passing_row(exact[k])
+        cells = []
+        for which, row in enumerate(rows):
+            values = [value[k][row] for value in risen.values()]
+            totals[which] += values
+            cells += [f"{steps[row] * problem.mdp.dt:.2f}", *(f"{value:.3f}" for value in values)]
+        table.add_row(item.name, *cells, f"{ends[k]:.3f}")
+    shares = [[f"{share:.0%}" for share in row] for row in totals / ends.sum()]
+    table.add_row("all", "", *shares[0], "", *shares[1], f"{ends.sum():.2f}")
     return table
+
+
+def draw_figure(
+    problem: swerve.Problem,
+    demonstrations: list[Demonstration],
+    risen: dict[str, list[np.ndarray]],
+    ends: np.ndarray,
+    path: Path,
+) -> None:
+    """Draw the evidence for the truth, of all and of each, about when they are nearest to it."""
+    figure = Figure((7.2, 3.6), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    together, single = figure.subplots(1, 2)
+    times = np.linspace(-SPAN, SPAN, 401)
+    for (name, values), (style, colour) in zip(risen.items(), STYLES, strict=True):
+        total = np.zeros(len(times))
+        for item, value, end in zip(demonstrations, values, ends, strict=True):
+            states, steps = places(item, problem)
+            since = (steps - steps[nearest_row(problem, states)]) * problem.mdp.dt
+            total += np.interp(times, since, value, left=0.0, right=end)
+            if name == "exact":
+                strong = end >= STRONG
+                look = (
+                    {"color": "#000000", "lw": 1.0} if strong else {"color": "#b0b0b0", "lw": 0.7}
+                )
+                single.plot([*since, SPAN], [*value, end], zorder=2 + strong, **look)
+        together.plot(times, total, style, color=colour, lw=1.8, label=name)
+    together.axhline(ends.sum(), color="#808080", lw=0.8, ls=(0, (1, 2)))
+    together.text(-SPAN, ends.sum(), " in the end", va="bottom", fontsize=8, color="#404040")
+    together.set(
+        title=f"all {len(ends)} demonstrations", ylabel=f"evidence for cell {TRUTH} [nats]"
+    )
+    together.set_ylim(0.0, 1.12 * ends.sum())
+    together.legend(loc="upper left", bbox_to_anchor=(0.0, 0.88), fontsize=8, frameon=False)
+    single.set(title=f"each, exactly (black: {STRONG:g} nats or more in the end)")
+    for axes in (together, single):
+        axes.axvline(0.0, color="#808080", lw=0.8)
+        axes.set(xlim=(-SPAN, SPAN), xlabel=f"time since nearest to cell {TRUTH} [s]")
+        axes.title.set_fontsize(9)
+        axes.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=200)
 
 
 if __name__ == "__main__":

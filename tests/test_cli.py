@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import signal
 import subprocess
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 from command import CONSTRAINT, ROBOT, SOLVER, Run, infer
 
-from swerve import store
+import swerve
+from swerve import cli, store
 from swerve.solvers import checkpoints
 
 
@@ -340,3 +342,15 @@ def test_unknown_attribute() -> None:
 
     with pytest.raises(AttributeError, match="has no attribute 'infur'"):
         swerve.infur  # noqa: B018
+
+
+@pytest.mark.parametrize("command", ["infer pendulum a.csv", "watch pendulum --work w"])
+def test_options_of_judging_are_arguments_of_infer_and_of_a_monitor(command: str) -> None:
+    words = f"{command} --prior-none 0.25 --tolerance 0.1"
+    words += " --margin.theta 0.05 --margin.omega 0.2 --clearance 0.3"
+    _, bound, _ = cli.app.parse_args(words.split())
+    margin = {"theta": 0.05, "omega": 0.2}
+    judged = {"prior": 0.25, "tolerance": 0.1, "margin": margin, "clearance": 0.3}
+    assert vars(bound.arguments["judged"]) == judged
+    for accepts in (swerve.infer, swerve.Monitor):
+        assert set(judged) <= set(inspect.signature(accepts).parameters)

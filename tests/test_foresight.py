@@ -16,6 +16,7 @@ from swerve.store import StoreError
 NEAR = [((2.5, 0.5), 0), ((3.2, 1.0), 2), ((3.6, 0.0), 4), ((4.4, 1.2), 5)]
 FAR = [((3.0, -1.5), 3), ((1.0, 2.0), 1)]  # from where nominal trajectories pass
 PLACES = NEAR + FAR
+BLUR = 0.01  # of the extent
 
 
 @pytest.fixture(scope="module")
@@ -39,16 +40,33 @@ def exact_pendulum(place: tuple) -> np.ndarray:
     return exact(short_pendulum(), Pendulum, settings, place, PENDULUM_TASK.goal)
 
 
+def nearby(place: tuple) -> list[tuple]:
+    """A place, and those that lie 1 % of the bounds' extent to each side of it."""
+    state, step = place
+    moves = BLUR * np.diag(short_pendulum().mdp.space.extent)
+    moved = [tuple(np.array(state) + sign * move) for move in moves for sign in (-1.0, 1.0)]
+    return [place, *((other, step) for other in moved)]
+
+
 def test_learned_probabilities_are_those_of_every_sequence_that_is_left(pendulum) -> None:
     _, _, foresight = pendulum
     ahead = foresight.towards(PENDULUM_TASK.goal)
-    # steps of 0.4 s make the exact probability jump, which no network of this size follows
-    for places, least_mean, least_worst in ((NEAR, 0.01, 0.2), (FAR, 0.05, 0.4)):
-        expected = np.array([exact_pendulum(place) for place in places])
+    # steps of 0.4 s make the exact probability jump, by up to 0.64 within half a percent of the
+    # extent, which no network of this size follows: it may tell what is exact next to a place.
+    # Beyond that, errors of seeds 0 and 1 are at most 0.036 near and 0.15 far from where nominal
+    # trajectories pass, on average 0.0011 and 0.012; far, few samples tell of a state.
+    for places, least_mean, least_worst in ((NEAR, 0.004, 0.06), (FAR, 0.025, 0.2)):
+        around = [np.array([exact_pendulum(one) for one in nearby(place)]) for place in places]
+        expected = np.array([values[0] for values in around])
+        low = np.array([values.min(axis=0) for values in around])
+        high = np.array([values.max(axis=0) for values in around])
         found = np.array([np.exp(ahead(np.array(state), step)) for state, step in places])
+        beyond = np.maximum(np.maximum(low - found, found - high), 0.0)
+        assert beyond.mean() < least_mean
+        assert beyond.max() < least_worst
         error = np.abs(found - expected)
-        assert error.mean() < least_mean
-        assert error.max() < least_worst
+        assert error.mean() < (0.01 if places is NEAR else 0.05)
+        assert error.max() < (0.2 if places is NEAR else 0.4)
         if places is NEAR:  # far better than telling every state the same
             assert error.mean() < 0.1 * np.abs(expected - expected.mean(axis=0)).mean()
 

@@ -292,3 +292,40 @@ def test_nothing_that_gains_is_nothing_picked() -> None:
     inference = infer(every, stops)
     struck = dataclasses.replace(inference, entered=np.ones_like(inference.entered))
     assert greedy(struck) == []
+
+
+def copied(seed: int, num_copies: int) -> Inference:
+    """Of 800 trajectories, `num_copies` share an ancestor; half enter 5, and 0.3 of them 7."""
+    generator = np.random.default_rng(seed)
+    num = 800 // num_copies
+    columns = np.zeros((1, num, 10), bool)
+    columns[0, :, 5], columns[0, :, 7] = generator.random((2, num)) < [[0.5], [0.3]]
+    columns = columns.repeat(num_copies, axis=1)
+    evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
+    ancestor = np.arange(800)[None] // num_copies * num_copies
+    samples = evidence.samples._replace(ancestor=ancestor)
+    evidence = make_evidence(evidence.problem, samples, evidence.tasks, "plain")
+    return infer(evidence, [make_demonstration()])
+
+
+@pytest.mark.parametrize("num_copies", [1, 10])
+def test_errors_are_how_far_gains_differ_when_sampled_again(num_copies: int) -> None:
+    """Errors that took copies for independent would be less than a third of the spread."""
+    found = [greedy(copied(seed, num_copies), most=2) for seed in range(200)]
+    assert all([pick.hypothesis for pick in picks] == [5, 7] for picks in found)
+    for place in range(2):
+        spread = np.std([picks[place].gain for picks in found], ddof=1)
+        error = np.mean([picks[place].standard_error for picks in found])
+        assert 0.8 < error / spread < 1.25
+
+
+def test_what_is_left_of_one_island_tells_no_error() -> None:
+    columns = np.zeros((1, 400, 10), bool)
+    columns[0, 10:, 5] = columns[0, :5, 7] = True
+    evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
+    samples = evidence.samples._replace(ancestor=np.arange(400)[None] // 2)
+    evidence = make_evidence(evidence.problem, samples, evidence.tasks, "plain")
+    picks = greedy(infer(evidence, [make_demonstration()]))
+    assert [pick.hypothesis for pick in picks] == [5, 7]
+    assert picks[1].gain == pytest.approx(math.log(2.0))
+    assert picks[1].standard_error == math.inf

@@ -52,6 +52,15 @@ class TestStruckOut:
         assert np.isfinite(np.delete(result.log_likelihood, [1, 3, 5])).all()
         np.testing.assert_array_equal(result.ranking, [9, 8, 7, 6, 4, 2, 0])
 
+    def test_demonstrations_of_different_lengths_are_judged_apart(self) -> None:
+        record = make_record(hypotheses=CELLS, between_states=True)
+        evidence = make_evidence(record, make_samples(num_hypotheses=10))
+        task = Task(TASKS.start[0], TASKS.goal[0])
+        paths = [np.array([[0.1, x] for x in way]) for way in ([1.0, 4.5], [1.0, 0.5, 1.5, 2.5])]
+        result = infer(evidence, [Demonstration("a", path, task) for path in paths])
+        np.testing.assert_array_equal(np.flatnonzero(result.entered[0]), [1, 2, 3, 4])
+        np.testing.assert_array_equal(np.flatnonzero(result.entered[1]), [0, 1, 2])
+
     @pytest.mark.parametrize("between_states", [True, False])
     def test_segments_count_if_the_problem_says_so(self, between_states: bool) -> None:
         record = make_record(hypotheses=CELLS, between_states=between_states)

@@ -21,14 +21,17 @@ START = TASKS.start[0].tolist()
 
 
 class Known:
-    """Foresight that says log P(avoid) = -h (T - step) / 100 for hypothesis h."""
+    """Foresight that says log P(avoid) = -h (T - step) / 100 for hypothesis h.
+
+    At the horizon, where nothing is left to be foreseen and nobody should ask, it is wrong.
+    """
 
     def __init__(self, evidence: Evidence) -> None:
         self.fingerprint = evidence.problem.fingerprint
         self.num = len(evidence.problem.hypotheses)
 
     def towards(self, goal: np.ndarray) -> Ahead:
-        return lambda state, step: -np.arange(self.num) * (5 - step) / 100.0
+        return lambda state, step: -np.arange(self.num) * (5 - step if step < 5 else 9) / 100.0
 
 
 def make_monitor(evidence: Evidence | None = None, **options) -> Monitor:
@@ -72,15 +75,21 @@ def test_the_posterior_is_bayes() -> None:
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
 @pytest.mark.parametrize("prior", [None, 0.2])
-def test_it_ends_where_inference_ends(tolerance: float, prior: float | None) -> None:
+@pytest.mark.parametrize("clearance", [None, 0.5])
+def test_it_ends_where_inference_ends(
+    tolerance: float, prior: float | None, clearance: float | None
+) -> None:
     evidence = make_evidence()
     demonstration = make_demonstration(x=4.0, num_states=6)
-    monitor = make_monitor(evidence, tolerance=tolerance, prior=prior)
+    monitor = make_monitor(evidence, tolerance=tolerance, prior=prior, clearance=clearance)
     last = [monitor.observe(state) for state in demonstration.states][-1]
-    expected = infer(evidence, [demonstration], tolerance=tolerance, prior=prior)
+    expected = infer(
+        evidence, [demonstration], tolerance=tolerance, prior=prior, clearance=clearance
+    )
+    assert expected.is_counted.all() == (clearance is None)
     found = monitor.finish()
     np.testing.assert_array_equal(found.struck_out, expected.struck_out)
-    np.testing.assert_allclose(found.log_likelihood, expected.log_likelihood)
+    np.testing.assert_allclose(found.log_likelihood, expected.log_likelihood, atol=1e-12)
     np.testing.assert_allclose(found.hypotheses, expected.posterior.hypotheses)
     assert found.none == pytest.approx(expected.posterior.none)
     np.testing.assert_allclose(last.log_likelihood, found.log_likelihood, rtol=1e-5, atol=1e-6)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -25,7 +26,7 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import Gridworld, Problem, learn, plots, polygons, sample, windows
+from swerve import Gridworld, Problem, learn, picture, plots, polygons, sample, shading, windows
 from swerve.boxes import ActionBox, Box
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
@@ -193,13 +194,13 @@ class TestHypotheses:
         axes = axes_of(plot_inference(result))
         (mesh,) = [c for c in axes.collections if type(c) is QuadMesh]
         assert mesh.get_rasterized()
-        assert len(axes.patches) <= 2 + plots.NUM_OUTLINED
+        assert len(axes.patches) <= 2 + shading.NUM_OUTLINED
 
     def test_ties_beyond_a_hundred_are_counted(self) -> None:
         cells = grid(theta=(0.0, TWO_PI, 12), x=(0.0, 10.0, 12))
         evidence = evidence_of_columns(np.ones((1, 50, 144), bool), cells)
         axes = axes_of(plot_inference(infer(evidence)))
-        assert len(patches(axes, "tied with it")) == plots.NUM_OUTLINED - 1
+        assert len(patches(axes, "tied with it")) == shading.NUM_OUTLINED - 1
         assert "44 more are tied" in axes.get_title("left")
 
 
@@ -240,7 +241,7 @@ class TestPaths:
         evidence = make_evidence(samples=make_samples()._replace(kept=kept))
         axes = axes_of(plot_inference(infer(evidence)))
         (lines,) = [c for c in axes.collections if type(c) is LineCollection]
-        assert 90 < len(lines.get_paths()) <= plots.NUM_LINES
+        assert 90 < len(lines.get_paths()) <= picture.NUM_LINES
 
     def test_evidence_without_trajectories_can_be_drawn(self) -> None:
         empty = make_samples()._replace(kept=np.zeros((3, 0, 6, 2)))
@@ -274,6 +275,15 @@ class TestWords:
         result = infer(make_evidence(summary=summary), [make_demonstration(0)])
         assert "Warning: not to be trusted" in texts(plot_inference(result))
 
+    def test_a_warning_that_asks_ends_in_its_question_mark(self) -> None:
+        item = make_demonstration(0)
+        times = np.linspace(0.0, 60.0, len(item.states))
+        result = infer(make_evidence(), [dataclasses.replace(item, times=times)])
+        assert result.warnings[-1].endswith("?")
+        said = texts(plot_inference(result)).replace("\n", " ")
+        assert result.warnings[-1] in said
+        assert "?." not in said
+
     def test_the_colour_bar_has_the_unit(self) -> None:
         for score, label in (
             ("likelihood", "log-likelihood ratio to no constraint [nats]"),
@@ -296,8 +306,8 @@ class TestWords:
     def test_a_narrow_picture_has_its_colour_bar_below(self) -> None:
         figure = plot_inference(inference_of(), width=4.0)
         figure.draw_without_rendering()
-        picture, bar = (axes.get_position() for axes in figure.axes)
-        assert bar.y1 < picture.y0
+        plane, bar = (axes.get_position() for axes in figure.axes)
+        assert bar.y1 < plane.y0
         assert figure.get_figwidth() == 4.0
 
     @pytest.mark.parametrize("width", [4.0, 8.4])
@@ -310,7 +320,7 @@ class TestWords:
             assert box.x1 < width + 0.03
 
     def test_colours_darken_evenly(self) -> None:
-        colours = plots.COLOURS(np.linspace(0, 1, 64))[:, :3]
+        colours = shading.COLOURS(np.linspace(0, 1, 64))[:, :3]
         light = np.where(colours > 0.04045, ((colours + 0.055) / 1.055) ** 2.4, colours / 12.92)
         lightness = np.cbrt(light @ [0.2126, 0.7152, 0.0722])  # CIE L* but for scale
         steps = -np.diff(lightness)

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import io
 import re
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -186,6 +188,13 @@ class TestWarnings:
         assert 'role="alert"' in html
         assert html.index(result.warnings[0]) < html.index("<img")
         assert "Warning: not to be trusted" in Page(html).words
+
+    def test_one_that_asks_ends_in_its_question_mark(self) -> None:
+        item = make_demonstration(0)
+        times = np.linspace(0.0, 60.0, len(item.states))
+        result = infer(make_evidence(), [dataclasses.replace(item, times=times)])
+        assert result.warnings[-1].endswith("?")
+        assert f"{escape(result.warnings[-1])}</p>" in page(result)
 
     def test_there_is_no_box_without_any(self) -> None:
         assert 'role="alert"' not in page(ordinary())

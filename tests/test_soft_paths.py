@@ -14,6 +14,7 @@ from swerve.problem import Problem
 from swerve.solvers.discrete import Discrete
 from swerve.solvers.soft_paths import SoftPaths
 from swerve.solvers.tabular import Tabular
+from swerve.solvers.walks import Ends, Steps, Walks
 from swerve.space import Task
 from swerve.systems.gridworld import Gridworld
 from swerve.systems.walker import Walker
@@ -97,6 +98,24 @@ def test_digits_that_cancel_are_worked_out_again() -> None:
     got = SoftPaths().learn(problem).answer(TASK, np.random.default_rng(0)).log_ratio
     assert expected[0] < np.log(1e-8)
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-7)
+
+
+def test_both_ways_to_take_steps_away_are_sums_over_the_walks_that_are_left() -> None:
+    generator, num = np.random.default_rng(0), 7
+    source, target = (part.reshape(-1) for part in np.indices((num, num)))
+    weight = generator.uniform(0.0, 0.25, num * num) * (generator.random(num * num) < 0.6)
+    entering = [np.flatnonzero(target == 2), np.flatnonzero(source == 3), np.array([4, 11, 30])]
+    walks = Walks(Steps(source, target, num, entering), weight)
+    ends = Ends(np.array([5, 6]), np.array([1.0, 0.3]))
+    expected = []
+    for taken in entering:
+        matrix = np.where(np.isin(np.arange(num * num), taken), 0.0, weight).reshape(num, num)
+        before = matrix[:5]  # whoever comes to an end goes no further
+        inner = np.linalg.inv(np.eye(5) - before[:, :5])
+        expected.append((inner @ before[:, 5:] @ ends.weight)[0])
+    np.testing.assert_allclose(walks.avoiding(0, ends), expected, rtol=1e-12)
+    again = [walks._solved(0, ends, taken) for taken in entering]
+    np.testing.assert_allclose(again, expected, rtol=1e-12)
 
 
 def test_nobody_can_avoid_the_square_around_the_start() -> None:

@@ -63,7 +63,8 @@ def test_demonstrations_are_watched_side_by_side() -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("{", "Expecting property name"),
+        ("{", r"one JSON object or array a line, got '{' \(Expecting property name"),
+        ('{"theta": 1', "one JSON object or array a line"),
         ("3", "expected an object or an array, got 3"),
         ("[1.0]", r"expected 2 numbers, got \[1.0\]"),
         ('{"theta": 1.0}', "expected the states theta, x, no x came"),

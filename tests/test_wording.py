@@ -121,6 +121,12 @@ def test_lists_of_boxes_are_hypotheses_not_cells() -> None:
     assert wording.counted(1200, "hypothesis") == "1,200 hypotheses"
 
 
+def test_what_asks_or_is_cut_has_no_full_stop() -> None:
+    assert wording.ended("not to be trusted") == "not to be trusted."
+    assert wording.ended("another unit?") == "another unit?"
+    assert wording.ended(wording.cut("a long sentence", 6)) == "a lon…"
+
+
 def test_lines_do_not_break_inside_a_value() -> None:
     text = "cell 5: theta [3.14, 3.77), omega [-1.2, 0) at 13.4 ± 0.1 nats, Grid(num=(180, 361))"
     for width in np.linspace(1.8, 6.0, 20):

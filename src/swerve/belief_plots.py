@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from swerve import wording
 from swerve.arguments import whole_number
-from swerve.figures import ALARM, FAINT, INK, WIDTH, headed, written
+from swerve.figures import ALARM, FAINT, INK, WIDTH, headed, open_sides, written
 from swerve.inference import Inference
 
 MAX_ROWS = 40  # demonstrations drawn, those that say most
@@ -68,8 +68,8 @@ def plot_contributions(
     axes.axvline(0.0, color=INK, lw=0.8)
     axes.set(ylim=(len(shown) - 0.4, -0.6))
     axes.set_xlabel("log-likelihood ratio of a demonstration to no constraint [nats]", fontsize=8.5)
-    axes.tick_params(labelsize=8)
-    axes.spines[["top", "right", "left"]].set_visible(False)
+    open_sides(axes)
+    axes.spines["left"].set_visible(False)
     return written(figure, path)
 
 

@@ -11,7 +11,7 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import cyclopts
 from cyclopts import Parameter
@@ -19,10 +19,13 @@ from cyclopts import Parameter
 import swerve
 from swerve import cli_making
 from swerve.cli_options import (
+    AS_BEFORE,
+    AS_USUAL,
     AsJson,
-    Method,
+    Choices,
+    Judging,
     Problem,
-    Samples,
+    Score,
     Seed,
     SolverName,
     Tasks,
@@ -57,17 +60,11 @@ def infer(
     /,
     *demonstrations: Path,
     tasks: Tasks = None,
-    solver: SolverName = None,
-    samples: Samples = None,
-    method: Method = None,
-    score: Literal["likelihood", "average"] = "likelihood",
-    seed: Seed = None,
+    how: Choices = AS_BEFORE,
+    score: Score = "likelihood",
+    judged: Judging = AS_USUAL,
     work: WorkFolder = None,
     report: Path | None = None,
-    prior_none: float = 0.5,
-    tolerance: float = 0.0,
-    margin: Annotated[dict[str, float] | None, Parameter(negative=())] = None,
-    clearance: float | None = None,
     no_resolve: bool = False,
     greedy: int | None = None,
     as_json: AsJson = False,
@@ -79,14 +76,7 @@ def infer(
 
     Args:
       demonstrations: CSV or Parquet files whose columns include the states' names.
-      score: likelihood, or average: the paper's average violation probability.
       report: HTML page to write, with the picture, the ranking and the diagnostics.
-      prior_none: Probability of no constraint before the demonstrations; the hypotheses share the
-        rest.
-      tolerance: Probability with which a demonstration ignores the constraint.
-      margin: How deep inside a hypothesis a demonstration must be to have entered it, for states
-        measured with noise: --margin.x 0.05, in the state's unit.
-      clearance: Leave a hypothesis out for tasks that start or end within this distance of it.
       no_resolve: Leave the score of what next to no trajectory avoids at what the samples tell, a
         lower bound, instead of working out what avoiding it takes, which may need minutes.
       greedy: Pick up to this many constraints as well, one after another, each for what those
@@ -98,21 +88,13 @@ def infer(
         _check_report(report)
     if greedy is not None:
         _check_greedy(greedy, demonstrations)
-    job = open_work(problem, work, solver, seed, method, samples)
+    job = open_work(problem, work, how)
     found = read_files(job, demonstrations, tasks)
     asked = asked_tasks(job, found, tasks)
     evidence = job.evidence(asked)
     if not found and asked is not None:
         evidence = _only(evidence, asked)
-    rank = partial(
-        infer_constraints,
-        demonstrations=found,
-        score=score,
-        prior=prior_none,
-        tolerance=tolerance,
-        margin=margin,
-        clearance=clearance,
-    )
+    rank = partial(infer_constraints, demonstrations=found, score=score, **vars(judged))
     result = rank(evidence)
     if not no_resolve:
         result = rank(job.resolved(result))
@@ -126,11 +108,8 @@ def fit_beta(
     /,
     *demonstrations: Path,
     tasks: Tasks = None,
-    solver: SolverName = None,
-    samples: Samples = None,
-    method: Method = None,
+    how: Choices = AS_BEFORE,
     confidence: float = 0.95,
-    seed: Seed = None,
     work: WorkFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -145,7 +124,7 @@ def fit_beta(
     """
     from swerve.diagnosis import data_warnings
 
-    job = open_work(problem, work, solver, seed, method, samples)
+    job = open_work(problem, work, how)
     found = read_files(job, demonstrations, tasks)
     if not found:
         raise ValueError("give at least one demonstration: beta is estimated from them")
@@ -163,12 +142,8 @@ def watch(
     *,
     work: Path,
     tasks: Tasks = None,
-    solver: SolverName = None,
-    samples: Samples = None,
-    method: Method = None,
-    prior_none: float = 0.5,
-    tolerance: float = 0.0,
-    seed: Seed = None,
+    how: Choices = AS_BEFORE,
+    judged: Judging = AS_USUAL,
 ) -> None:
     """Watch demonstrations state by state: JSON lines in, JSON lines out.
 
@@ -179,16 +154,13 @@ def watch(
     Args:
       tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one.
         [default: the task that the work folder holds, if it is only one]
-      prior_none: Probability of no constraint before the first state; the hypotheses share the
-        rest.
-      tolerance: Probability with which a demonstration ignores the constraint.
     """
     from swerve.demonstrations import read_tasks
     from swerve.space import Task
     from swerve.watch import Watch, foresight_of
     from swerve.watch import watch as answer_lines
 
-    job = open_work(problem, work, solver, seed, method, samples)
+    job = open_work(problem, work, how)
     asked = asked_tasks(job, [], tasks)
     evidence = job.evidence(asked)
     if tasks is not None:
@@ -196,9 +168,7 @@ def watch(
     else:
         rows = zip(*evidence.tasks, strict=True)
         named = {str(k): Task(*row) for k, row in enumerate(rows)}
-    watched = Watch(
-        evidence, foresight_of(job, evidence), named, prior=prior_none, tolerance=tolerance
-    )
+    watched = Watch(evidence, foresight_of(job, evidence), named, **vars(judged))
     say("watching: one state a line")
     answer_lines(sys.stdin, watched.answer, sys.stdout)
 
@@ -217,7 +187,7 @@ def learn(
     Training that is interrupted goes on where it stopped when the same command is given again.
     A picture of how it went is written beside what was learned.
     """
-    job = open_work(problem, work, solver, seed)
+    job = open_work(problem, work, Choices(solver=solver, seed=seed))
     nominal = job.nominal()
     say(f"learned with {nominal.solver!r}; next: swerve sample or swerve infer, --work {work}")
 
@@ -229,10 +199,7 @@ def sample(
     *,
     work: Path,
     tasks: Tasks = None,
-    solver: SolverName = None,
-    samples: Samples = None,
-    method: Method = None,
-    seed: Seed = None,
+    how: Choices = AS_BEFORE,
     as_json: AsJson = False,
 ) -> None:
     """Sample the nominal distribution for tasks, so that inference is instant afterwards."""
@@ -240,7 +207,7 @@ def sample(
     from swerve.diagnosis import data_warnings
     from swerve.inference import infer as prior
 
-    job = open_work(problem, work, solver, seed, method, samples)
+    job = open_work(problem, work, how)
     evidence = job.evidence(asked_tasks(job, [], tasks))
     inference = prior(evidence)
     rows = inference.to_json()["diagnostics"]

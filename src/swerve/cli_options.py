@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -46,22 +47,67 @@ Method = Annotated[
     ),
 ]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
+Score = Annotated[
+    Literal["likelihood", "average"],
+    Parameter(help="likelihood, or average: the paper's average violation probability."),
+]
 AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")]
 
 
-def open_work(
-    problem: str,
-    folder: Path | None,
-    solver: str | None = None,
-    seed: int | None = None,
-    method: str | None = None,
-    samples: int | None = None,
-) -> Work:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Choices:
+    """Options of how to learn and sample, of every command that may do either."""
+
+    solver: SolverName = None
+    samples: Samples = None
+    method: Method = None
+    seed: Seed = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Judging:
+    """Options of how demonstrations are judged: arguments of `swerve.infer` and of a monitor."""
+
+    prior: Annotated[
+        float,
+        Parameter(
+            name="--prior-none",
+            help="Probability of no constraint before any demonstration; the hypotheses share the "
+            "rest.",
+        ),
+    ] = 0.5
+    tolerance: Annotated[
+        float, Parameter(help="Probability with which a demonstration ignores the constraint.")
+    ] = 0.0
+    margin: Annotated[
+        dict[str, float] | None,
+        Parameter(
+            help="How deep inside a hypothesis a demonstration must be to have entered it, for "
+            "states measured with noise: --margin.x 0.05, in the state's unit.",
+            negative=(),
+        ),
+    ] = None
+    clearance: Annotated[
+        float | None,
+        Parameter(
+            help="Leave a hypothesis out for tasks that start or end within this distance of it."
+        ),
+    ] = None
+
+
+AS_USUAL = Judging()
+AS_BEFORE = Choices()  # nothing said: what the work folder holds, or the defaults
+
+
+def open_work(problem: str, folder: Path | None, how: Choices = AS_BEFORE) -> Work:
     """Return the work on a problem, in a folder if one is named."""
     from swerve.settings import Settings
     from swerve.work import Work
 
-    return Work(problem, folder, Settings(solver, seed, method, samples), say=say, progress=True)
+    settings = Settings(how.solver, how.seed, how.method, how.samples)
+    return Work(problem, folder, settings, say=say, progress=True)
 
 
 def read_files(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[Any]:

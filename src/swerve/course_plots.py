@@ -19,10 +19,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from swerve import plane as planes
-from swerve import plots, wording
+from swerve import wording
 from swerve.course import Course
-from swerve.figures import FAINT, INK, WIDTH, headed, written
+from swerve.figures import FAINT, INK, WIDTH, headed, open_sides, written
 from swerve.inference import Inference, infer
+from swerve.picture import picture
+from swerve.shading import Shading
 from swerve.space import Task
 
 NUM_LINES = 5  # hypotheses drawn: those that were most probable at some time
@@ -64,8 +66,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     axes.set(ylim=(-0.02, 1.02))
     axes.set_xlabel("time [s]", fontsize=9)
     axes.set_ylabel("posterior probability", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.spines[["top", "right"]].set_visible(False)
+    open_sides(axes)
     figure.legend(loc="outside lower left", fontsize=8, frameon=False, ncols=2 if width > 6 else 1)
     return written(figure, path)
 
@@ -106,7 +107,7 @@ def _frame(course: Course, k: int, width: float) -> Image.Image:
     values = np.where(np.isneginf(course.log_likelihood[k]), -np.inf, course.hypotheses[k])
     highest = float(course.hypotheses.max())
     best = np.argsort(-values, kind="stable")[:1]
-    shading = plots.Shading(
+    shading = Shading(
         values,
         Normalize(0.0, highest or 1.0),
         "posterior probability",
@@ -118,7 +119,7 @@ def _frame(course: Course, k: int, width: float) -> Image.Image:
     at = "at the end" if k == len(course.demonstration.states) else f"{course.times[k]:.2f} s"
     header = [(f"{course.demonstration.name}, {at}: no constraint {course.none[k]:.2f}", 11.5, INK)]
     whole = planes.Path(course.demonstration.states, course.demonstration.times)
-    figure = plots.picture(_so_far(course, k), shading, header, width, also=[whole])
+    figure = picture(_so_far(course, k), shading, header, width, also=[whole])
     figure.set_dpi(DPI)
     canvas = cast(FigureCanvasAgg, figure.canvas)
     canvas.draw()

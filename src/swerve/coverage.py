@@ -19,6 +19,7 @@ import numpy as np
 from swerve import estimators
 from swerve.estimators import LogRatio
 from swerve.inference import Inference
+from swerve.samples import islands
 from swerve.space import Task
 
 if TYPE_CHECKING:
@@ -104,7 +105,8 @@ class SampledCoverage:
             if k not in self._uncovered:
                 avoid = evidence.summary.avoid_probability[k]
                 bits = evidence.samples.violations[k]
-                self._uncovered[k] = Uncovered(evidence.log_weight[k], bits, avoid)
+                ancestor = evidence.samples.ancestor[k]
+                self._uncovered[k] = Uncovered(evidence.log_weight[k], bits, avoid, ancestor)
             self._uncovered[k].cover(index)
             self.log_ratio[k] = self._uncovered[k].log_ratio(self.log_ratio.shape[1])
 
@@ -127,12 +129,19 @@ class Uncovered:
       log_weight: [N] nats.
       violations: [N, B] packed bits.
       avoid_probability: [H] of all of them.
+      ancestor: [N] which one at the start each comes from; where some share one they depend on one
+        another, and only islands of them are independent.
     """
 
     def __init__(
-        self, log_weight: np.ndarray, violations: np.ndarray, avoid_probability: np.ndarray
+        self,
+        log_weight: np.ndarray,
+        violations: np.ndarray,
+        avoid_probability: np.ndarray,
+        ancestor: np.ndarray,
     ) -> None:
         self._log_weight, self._violations = log_weight, violations
+        self._are_independent = len(np.unique(ancestor)) == len(ancestor)
         self._rows = np.flatnonzero(np.isfinite(log_weight))
         self._weigh()
         self._entered = np.zeros(8 * violations.shape[1])
@@ -198,7 +207,26 @@ class Uncovered:
             self._violations[self._rows[:, None], columns],
             num_hypotheses,
         )
+        if not self._are_independent:
+            variance = self._island_variance(columns)
+            estimate = estimate._replace(avoid_variance=variance)
         return estimators.log_ratio(estimate, self._resolution)
+
+    def _island_variance(self, columns: np.ndarray) -> np.ndarray:
+        """Return the variance [8 M] of what is avoided of some bytes, by how islands differ.
+
+        Infinite where all that is left is of one island.
+        """
+        num = len(self._log_weight)
+        island_of = np.zeros(num, int)
+        for number, island in enumerate(islands(num)):
+            island_of[island] = number
+        log_weight = np.full(num, -np.inf)
+        log_weight[self._rows] = self._log_weight[self._rows]
+        if len(np.unique(island_of[self._rows])) < 2:
+            return np.full(8 * len(columns), np.inf)
+        bits = self._violations[:, columns]
+        return estimators.parts(log_weight, bits, 8 * len(columns), island_of).variance()
 
 
 class ExactCoverage:

@@ -245,9 +245,8 @@ class Evidence:
 
         The same means within MATCH_TOLERANCE of each state's extent.
         """
-        distance = self._distance(task)
-        nearest = int(distance.argmin())
-        return nearest if distance[nearest] <= MATCH_TOLERANCE else None
+        number, distance = self.nearest(task)
+        return int(number) if distance <= MATCH_TOLERANCE else None
 
     def match(self, task: Task, name: str = "the task") -> int:
         """Return the index of the task with the same start and goal, as `find` does.
@@ -257,8 +256,8 @@ class Evidence:
         """
         found = self.find(task)
         if found is None:
-            nearest = int(self._distance(task).argmin())
-            start, goal = self.tasks.start[nearest], self.tasks.goal[nearest]
+            number, _ = self.nearest(task)
+            start, goal = self.tasks.start[number], self.tasks.goal[number]
             raise ValueError(
                 f"{name}: no evidence for start {_numbers(task.start)} and goal "
                 f"{_numbers(task.goal)}; the nearest of {self.num_tasks} tasks is start "
@@ -267,12 +266,17 @@ class Evidence:
             )
         return found
 
-    def _distance(self, task: Task) -> np.ndarray:
-        """Return how far each task [K] is from a task, in units of the states' extent."""
-        return np.maximum(
-            self.problem.space.relative_distance(self.tasks.start, np.asarray(task.start, float)),
-            _goal_distance(self.problem, self.tasks.goal, np.asarray(task.goal, float)),
+    def nearest(self, tasks: Task) -> tuple[np.ndarray, np.ndarray]:
+        """Return the index [...] of the task nearest to each of some [...], and how far it is.
+
+        Distances are in units of the states' extent.
+        """
+        start, goal = (np.asarray(part, float)[..., None, :] for part in tasks)
+        distance = np.maximum(
+            self.problem.space.relative_distance(self.tasks.start, start),
+            _goal_distance(self.problem, self.tasks.goal, goal),
         )
+        return distance.argmin(axis=-1), distance.min(axis=-1)
 
     def select(self, indices: list[int]) -> Evidence:
         """Return evidence for some of the tasks, in the order given."""
@@ -400,11 +404,11 @@ class Evidence:
 
 
 def _goal_distance(problem: ProblemRecord, goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Return how far goals [K, g] are from one goal [g], in units of the states' extent."""
+    """Return how far [..., K] goals [K, g] are from some [..., 1, g], in the states' extents."""
     if problem.goal_names == problem.space.names:
         return problem.space.relative_distance(goals, goal)
     if not goals.shape[-1]:
-        return np.zeros(len(goals))
+        return np.zeros((*goal.shape[:-2], len(goals)))
     return (np.abs(goals - goal) / np.maximum(1.0, np.abs(goal))).max(axis=-1)
 
 

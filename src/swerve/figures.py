@@ -1,4 +1,4 @@
-"""What all pictures share: ink, a header above the axes, a file.
+"""What all pictures share: ink, a header above the axes, open sides, a file.
 
 matplotlib is used through its objects alone, so neither a window nor the global state of pyplot is
 touched.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -54,6 +55,12 @@ def headed(
         figure.text(0.12 / width, y / (height + top), text, va="top", parse_math=False, **style)
         y -= 1.4 * size / 72
     return figure
+
+
+def open_sides(axes: Axes, size: float = 8.0) -> None:
+    """Leave axes the sides that carry numbers, at the left and below, these of some size [pt]."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=size)
 
 
 def written(figure: Figure, path: str | Path | None) -> Figure:

@@ -41,31 +41,35 @@ class GridAxis:
         within = np.floor((position - turn * TWO_PI) / self.width)
         return (turn * self.period + np.minimum(within, self.period - 1)).astype(np.int64)
 
-    def in_gap(self, index: np.ndarray) -> np.ndarray:
-        """Return where an index is the gap of an angle, which one step may leave and enter."""
-        return self.is_angle & (index % self.period >= self.count)
+    @property
+    def has_gap(self) -> bool:
+        """Whether it is an angle of which cells leave some open: one step may leave and enter."""
+        return self.is_angle and self.period > self.count
 
-    def span(
-        self, starts: np.ndarray, ends: np.ndarray, steps: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the extended indices of the two ends of segments.
+    def in_gap(self, index: np.ndarray) -> np.ndarray:
+        """Return where an index is the gap of an angle that has one."""
+        return index % self.period >= self.count
+
+    def turned(
+        self, last: np.ndarray, starts: np.ndarray, ends: np.ndarray, steps: np.ndarray
+    ) -> np.ndarray:
+        """Return the extended indices [S] of the ends of segments, counted on from their starts.
 
         The end itself tells its index: start + step may be rounded to the other side of a line.
-        """
-        first, last = self.position(starts), self.position(ends)
-        if not self.is_angle:
-            return self.index(first), self.index(last)
-        turns = np.round((first + steps[..., self.column] - last) / TWO_PI).astype(np.int64)
-        return self.index(first), self.index(last) + turns * self.period
 
-    def is_cell(self, index: np.ndarray) -> np.ndarray:
-        """Return where an extended index is a cell, not outside or in the gap."""
-        if self.is_angle:
-            return index % self.period < self.count
-        return (index >= 0) & (index < self.count)
+        Args:
+          last: [S] extended indices of the ends.
+          starts: [S, n] where segments begin.
+          ends: [S, n] where they end.
+          steps: [S, n] how far they go, along the shorter arc.
+        """
+        if not self.is_angle:
+            return last
+        missed = self.position(starts) + steps[:, self.column] - self.position(ends)
+        return last + np.round(missed / TWO_PI).astype(np.int64) * self.period
 
     def cell(self, index: np.ndarray) -> np.ndarray:
-        """Return the cell number of an extended index, for those that are cells."""
+        """Return the cell number of an extended index; not from 0 to `count` - 1: none."""
         return index % self.period if self.is_angle else index
 
     def line(self, number: np.ndarray) -> np.ndarray:

@@ -175,50 +175,22 @@ class GridHypotheses(HypothesisSet):
         axes = self._lines(space)
         indices = [axis.index(axis.position(states)) for axis in axes]
         moved = np.ones(states.shape[:-1], bool)
-        moved[:, 1:] = np.any(
-            [
-                (index[:, 1:] != index[:, :-1]) | axis.in_gap(index[:, :-1])
-                for axis, index in zip(axes, indices, strict=True)
-            ],
-            axis=0,
-        )
+        moved[:, 1:] = False
+        for axis, index in zip(axes, indices, strict=True):
+            moved[:, 1:] |= index[:, 1:] != index[:, :-1]
+            if axis.has_gap:
+                moved[:, 1:] |= axis.in_gap(index[:, :-1])
         _set_bits(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
         if between_states:
             trajectory, step = np.nonzero(moved[:, 1:])
-            segment, cell = self._crossed_cells(
-                states[trajectory, step], states[trajectory, step + 1], space
-            )
+            starts, ends = states[trajectory, step], states[trajectory, step + 1]
+            steps = space.difference(starts, ends)
+            spans = []
+            for axis, index in zip(axes, indices, strict=True):
+                last = axis.turned(index[trajectory, step + 1], starts, ends, steps)
+                spans.append((index[trajectory, step], last))
+            segment, cell = _crossed_cells(axes, starts, steps, spans)
             _set_bits(bits, trajectory[segment], cell)
-
-    def _crossed_cells(
-        self, starts: np.ndarray, ends: np.ndarray, space: StateSpace
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (segment, cell) for the cells between the two ends of each segment.
-
-        Wherever a segment crosses a grid line it enters a cell: the line tells its index along one
-        axis, the position there its indices along the others. Segments that cross fewer than two
-        lines have no cell between their ends.
-        """
-        axes = self._lines(space)
-        steps = space.difference(starts, ends)
-        spans = [axis.span(starts, ends, steps) for axis in axes]
-        many = np.flatnonzero(np.sum([np.abs(last - first) for first, last in spans], axis=0) >= 2)
-        starts, steps = starts[many], steps[many]
-        spans = [(first[many], last[many]) for first, last in spans]
-        segments, cells = [], []
-        for axis, span in zip(axes, spans, strict=True):
-            segment, entered, fraction = axis.crossings(starts, steps, *span)
-            indices = [
-                entered
-                if other is axis
-                else other.index_after(
-                    starts[segment], steps[segment], fraction, first[segment], last[segment]
-                )
-                for other, (first, last) in zip(axes, spans, strict=True)
-            ]
-            segments.append(many[segment])
-            cells.append(_join(axes, indices))
-        return np.concatenate(segments), np.concatenate(cells)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the distance [..., H] from states [..., n] to each cell."""
@@ -401,12 +373,53 @@ def enters_set(violations: np.ndarray, members: np.ndarray) -> np.ndarray:
     return np.asarray((violations[:, columns] & members[columns]).any(axis=1))
 
 
+def _crossed_cells(
+    axes: list[GridAxis],
+    starts: np.ndarray,
+    steps: np.ndarray,
+    spans: list[tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (segment, cell) for the cells between the two ends of each segment.
+
+    Wherever a segment crosses a grid line it enters a cell: the line tells its index along one
+    axis, the position there its indices along the others. Segments that cross fewer than two
+    lines have no cell between their ends.
+
+    Args:
+      axes: of the grid.
+      starts: [S, n] where segments begin.
+      steps: [S, n] how far they go.
+      spans: for each axis the extended indices [S] of their two ends.
+    """
+    num_lines = sum(np.abs(last - first) for first, last in spans)
+    many = np.flatnonzero(num_lines >= 2)
+    if not many.size:
+        return many, many
+    starts, steps = starts[many], steps[many]
+    spans = [(first[many], last[many]) for first, last in spans]
+    segments, cells = [], []
+    for axis, span in zip(axes, spans, strict=True):
+        segment, entered, fraction = axis.crossings(starts, steps, *span)
+        indices = [
+            entered
+            if other is axis
+            else other.index_after(
+                starts[segment], steps[segment], fraction, first[segment], last[segment]
+            )
+            for other, (first, last) in zip(axes, spans, strict=True)
+        ]
+        segments.append(many[segment])
+        cells.append(_join(axes, indices))
+    return np.concatenate(segments), np.concatenate(cells)
+
+
 def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:
     """Return the cell numbers of extended indices, one array an axis, or -1 outside the grid."""
     cell, inside = np.zeros(indices[0].shape, np.int64), np.True_
     for axis, index in zip(axes, indices, strict=True):
-        inside = inside & axis.is_cell(index)
-        cell = cell * axis.count + axis.cell(index)
+        along = axis.cell(index)
+        inside = inside & (along >= 0) & (along < axis.count)
+        cell = cell * axis.count + along
     return np.where(inside, cell, -1)
 
 

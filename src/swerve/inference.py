@@ -76,7 +76,7 @@ class Inference:
     def counts(self) -> likelihood.Counts:
         """[K, H] demonstrations that avoid a hypothesis and that enter it, where they count."""
         entering = np.zeros(self.is_counted.shape)
-        np.add.at(entering, self.task_of, self.entered)
+        np.add.at(entering, self.task_of, self.entered.astype(float))
         avoiding = self.task_counts[:, None] - entering
         return likelihood.Counts(avoiding * self.is_counted, entering * self.is_counted)
 
@@ -379,7 +379,7 @@ def infer(
         task_of=np.zeros(0, int),
         entered=np.zeros((0, len(hypotheses)), bool),
         score_name=score,
-        is_counted=_is_counted(evidence, clearance),
+        is_counted=likelihood.is_counted(evidence, clearance),
         tolerance=likelihood.checked_tolerance(tolerance),
         prior=posterior.checked_prior(prior, len(hypotheses)),
         judged=hypotheses if margin is None else hypotheses.eroded(margin, evidence.problem.space),
@@ -387,22 +387,3 @@ def infer(
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")
     return empty.add(*demonstrations)
-
-
-def _is_counted(evidence: Evidence, clearance: float | None) -> np.ndarray:
-    """Return [K, H] whether a hypothesis is not within a distance of the ends of a task.
-
-    Raises:
-      ValueError: if the distance is negative or no number, or a hypothesis has none.
-    """
-    problem, tasks = evidence.problem, evidence.tasks
-    shape = evidence.num_tasks, len(problem.hypotheses)
-    if clearance is None:
-        return np.ones(shape, bool)
-    if not (math.isfinite(clearance) and clearance >= 0.0):
-        raise ValueError(f"clearance: expected a distance >= 0, got {clearance}")
-    ends = [tasks.start]
-    if problem.goal_names == problem.space.names:
-        ends.append(tasks.goal)
-    nearest = np.min([problem.hypotheses.distance(end, problem.space) for end in ends], axis=0)
-    return nearest > clearance

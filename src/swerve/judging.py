@@ -11,13 +11,16 @@ import numpy as np
 
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
-from swerve.evidence import Evidence
+from swerve.evidence import MATCH_TOLERANCE, Evidence
 from swerve.hypotheses import HypothesisSet, unpack
 from swerve.problem import ProblemRecord
-from swerve.space import Actions
+from swerve.space import Actions, StateSpace, Task
 from swerve.state_checks import (
+    START_TOLERANCE,
+    are_plausible,
     check_finite,
     check_horizon,
+    check_path,
     check_start,
     check_states,
     check_transitions,
@@ -51,16 +54,42 @@ def judge(
     entered = np.zeros((len(demonstrations), len(hypotheses)), bool)
     for first in range(0, len(demonstrations), AT_ONCE):
         block = demonstrations[first : first + AT_ONCE]
-        tasks[first : first + AT_ONCE] = [_checked(item, evidence) for item in block]
-        entered[first : first + AT_ONCE] = _entered(block, evidence.problem, hypotheses)
+        states = _checked_states(block, evidence.problem.space)
+        for item in block:
+            _check_fits(item, evidence)
+        tasks[first : first + AT_ONCE] = _matched(block, evidence)
+        entered[first : first + AT_ONCE] = _entered(block, states, evidence.problem, hypotheses)
     return tasks, entered
 
 
-def _checked(demonstration: Demonstration, evidence: Evidence) -> int:
-    """Return the task of a demonstration in the evidence, after checking that it fits."""
+def _checked_states(demonstrations: Sequence[Demonstration], space: StateSpace) -> np.ndarray:
+    """Return the states of demonstrations [D, L, n] after checking them; they rest at their end.
+
+    All are looked at together; one by one only to say what is wrong with which.
+    """
+    for item in demonstrations:
+        check_path(item.states, item.times, space, item.name)
+    longest = max(len(item.states) for item in demonstrations)
+    states = np.stack([_rested(item.states, longest) for item in demonstrations])
+    starts = np.stack([item.task.start for item in demonstrations])
+    is_there = space.relative_distance(states[:, 0], starts) <= START_TOLERANCE
+    if not (is_there.all() and are_plausible(states, space)):
+        for item in demonstrations:
+            check_states(item.states, item.times, space, item.name)
+            check_start(item.states[0], item.task, space, item.name)
+    return states
+
+
+def _rested(states: np.ndarray, num: int) -> np.ndarray:
+    """Return states [L, n] and their last again and again, `num` in all."""
+    if len(states) == num:
+        return states
+    return states[np.minimum(np.arange(num), len(states) - 1)]
+
+
+def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:
+    """Check what one demonstration does against the problem."""
     problem, states = evidence.problem, demonstration.states
-    check_states(states, demonstration.times, problem.space, demonstration.name)
-    check_start(states[0], demonstration.task, problem.space, demonstration.name)
     if problem.transitions is not None:
         actions = _actions(demonstration, problem, demonstration.actions is not None)
         check_transitions(
@@ -70,19 +99,28 @@ def _checked(demonstration: Demonstration, evidence: Evidence) -> int:
         check_horizon(num_moves, problem.num_steps, demonstration.name)
     _check_known(demonstration, problem)
     _check_goal(demonstration, evidence)
-    return evidence.match(demonstration.task, demonstration.name)
+
+
+def _matched(demonstrations: Sequence[Demonstration], evidence: Evidence) -> np.ndarray:
+    """Return the tasks [D] of demonstrations in the evidence."""
+    starts = np.stack([item.task.start for item in demonstrations])
+    goals = np.stack([item.task.goal for item in demonstrations])
+    numbers, away = evidence.nearest(Task(starts, goals))
+    for k in np.flatnonzero(away > MATCH_TOLERANCE).tolist():
+        evidence.match(demonstrations[k].task, demonstrations[k].name)  # which says that it is none
+    return numbers
 
 
 def _entered(
-    demonstrations: Sequence[Demonstration], problem: ProblemRecord, hypotheses: HypothesisSet
+    demonstrations: Sequence[Demonstration],
+    states: np.ndarray,
+    problem: ProblemRecord,
+    hypotheses: HypothesisSet,
 ) -> np.ndarray:
-    """Return what demonstrations enter [D, H]; all are judged at once, resting after their end."""
-    longest = max(len(item.states) for item in demonstrations)
-    rows = [np.minimum(np.arange(longest), len(item.states) - 1) for item in demonstrations]
-    states = np.stack([item.states[row] for item, row in zip(demonstrations, rows, strict=True)])
+    """Return what demonstrations enter [D, H], by their states [D, L, n]."""
     actions = None
     if hypotheses.about_actions:
-        values = np.full((len(states), longest - 1, len(problem.action_names)), np.nan)
+        values = np.full((*states[:, 1:, 0].shape, len(problem.action_names)), np.nan)
         for row, item in zip(values, demonstrations, strict=True):
             taken = _actions(item, problem, needed=True)
             assert taken is not None

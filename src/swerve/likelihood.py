@@ -13,9 +13,12 @@ Shapes: K tasks, D demonstrations, H hypotheses.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from swerve.evidence import Evidence
 
 MAX_TOLERANCE = 0.5
 NUM_TOLERANCES = 61  # tried between the least and the largest, evenly in their logs
@@ -76,6 +79,30 @@ def checked_tolerance(tolerance: float) -> float:
             f"0 to {MAX_TOLERANCE}, got {tolerance}"
         )
     return float(tolerance)
+
+
+def is_counted(evidence: Evidence, clearance: float | None) -> np.ndarray:
+    """Return [K, H] whether a hypothesis is not within a distance of the ends of a task.
+
+    Args:
+      evidence: with the tasks.
+      clearance: the distance, in the units of the states that a hypothesis names, or None: all
+        count.
+
+    Raises:
+      ValueError: if the distance is negative or no number, or a hypothesis has none.
+    """
+    problem, tasks = evidence.problem, evidence.tasks
+    shape = evidence.num_tasks, len(problem.hypotheses)
+    if clearance is None:
+        return np.ones(shape, bool)
+    if not (math.isfinite(clearance) and clearance >= 0.0):
+        raise ValueError(f"clearance: expected a distance >= 0, got {clearance}")
+    ends = [tasks.start]
+    if problem.goal_names == problem.space.names:
+        ends.append(tasks.goal)
+    nearest = np.min([problem.hypotheses.distance(end, problem.space) for end in ends], axis=0)
+    return nearest > clearance
 
 
 def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:

@@ -77,6 +77,7 @@ class Monitor:
       prior: as for `infer`.
       tolerance: as for `infer`.
       margin: as for `infer`.
+      clearance: as for `infer`.
 
     Raises:
       ValueError: if an argument is of the wrong kind or range, hypotheses are about actions, there
@@ -92,6 +93,7 @@ class Monitor:
         prior: Prior = None,
         tolerance: float = 0.0,
         margin: Mapping[str, float] | None = None,
+        clearance: float | None = None,
     ) -> None:
         instance(evidence, Evidence, "evidence", "make some with swerve.sample")
         self.evidence = evidence
@@ -101,12 +103,16 @@ class Monitor:
         self._tolerance = likelihood.checked_tolerance(tolerance)
         self._prior = checked_prior(prior, len(hypotheses))
         number = evidence.match(task)
-        self._problem, self._start = problem, evidence.tasks.start[number]
+        self._problem = problem
+        self._start = np.asarray(evidence.tasks.start[number], float)
         self._ahead = foresight.towards(evidence.tasks.goal[number])
         self._steps = stepwise(hypotheses, space, problem.between_states, margin)
-        log_ratio = evidence.log_ratio[number]
+        is_counted = likelihood.is_counted(evidence, clearance)[number]
+        self._left_out = None if is_counted.all() else ~is_counted
+        log_ratio = np.where(is_counted, evidence.log_ratio[number], 0.0)
         self._impossible = np.asarray(evidence.is_exact & np.isneginf(log_ratio))
         self._log_ratio = np.where(self._impossible, 0.0, log_ratio)
+        self._is_counted = is_counted
         self._entered = np.zeros(len(hypotheses), bool)
         with np.errstate(divide="ignore"):
             log_prior = np.log(self._prior)
@@ -115,16 +121,12 @@ class Monitor:
         limits = space.bounds + [-START_TOLERANCE, START_TOLERANCE] * space.extent[:, None]
         limits[space.is_angle] = -np.inf, np.inf
         self._bounds = limits.tolist()
-        fastest = FAST * evidence.summary.fastest[number]
-        self._reach = list(
-            zip(
-                fastest.tolist(),
-                (JITTER * space.extent).tolist(),
-                space.is_angle.tolist(),
-                strict=True,
-            )
-        )
+        self._is_angle = space.is_angle.tolist()
+        self._fastest = (FAST * evidence.summary.fastest[number]).tolist()
+        self._jitter = (JITTER * space.extent).tolist()
+        self._near = (START_TOLERANCE * space.unit).tolist()
         self._array = np.empty(len(space.names))
+        self._ahead(self._start, 0)  # the first call takes longest: not while they move
         self._state: list[float] = []
         self._time, self._is_timed = 0.0, False
         self._last: Belief | None = None
@@ -159,19 +161,25 @@ class Monitor:
         last, self._state, self._time = self._state, values, now
         self._is_timed = time is not None
         step = min(round(now / self._problem.dt), self._problem.num_steps)
+        is_over = step == self._problem.num_steps  # nothing is left to be avoided
         if is_first and LATE in flags:
-            self._base[:] = self._ahead(self._array, step)
+            foreseen = 0.0 if is_over else self._ahead(self._array, step)
+            self._base[:] = np.where(self._is_counted, foreseen, 0.0)
             self._log_ratio = self._base.astype(float)
-        new = tuple(k for k in self._steps.enter(values) if not self._entered[k])
+        new = tuple(
+            k for k in self._steps.enter(values) if self._is_counted[k] and not self._entered[k]
+        )
         if new:
             self._entered[list(new)] = True
         if self._problem.known and self._is_forbidden(last or values, values):
             flags = (*flags, KNOWN)
-        if step == self._problem.num_steps:
+        if is_over:
             log_likelihood = -self._base
         else:
             ahead = self._ahead(self._array, step)
             log_likelihood = np.subtract(ahead, self._base, dtype=np.float32)
+        if self._left_out is not None:
+            log_likelihood[self._left_out] = 0.0
         self._last = self._belief(log_likelihood, new, flags)
         return self._last
 
@@ -254,8 +262,7 @@ class Monitor:
         flags = []
         dt = self._problem.dt
         if is_first:
-            distance = self._problem.space.relative_distance(self._array, self._start)
-            if distance > START_TOLERANCE or now > 0.5 * dt:
+            if now > 0.5 * dt or self._differs(values, self._start.tolist(), self._near):
                 flags.append(LATE)
         elif now == self._time:
             flags.append(CONFLICTING)
@@ -263,7 +270,11 @@ class Monitor:
             elapsed = now - self._time
             if elapsed > COARSE * dt:
                 flags.append(GAP)
-            if self._is_beyond_reach(values, elapsed):
+            reach = [
+                speed * elapsed + slack
+                for speed, slack in zip(self._fastest, self._jitter, strict=True)
+            ]
+            if self._differs(values, self._state, reach):
                 flags.append(UNREACHABLE)
         for value, (low, high) in zip(values, self._bounds, strict=True):
             if not low <= value <= high:
@@ -273,15 +284,15 @@ class Monitor:
             flags.append(OVERTIME)
         return tuple(flags)
 
-    def _is_beyond_reach(self, values: list[float], elapsed: float) -> bool:
-        """Return whether a state differs more from the last than it can in that time [s]."""
-        for value, last, (speed, slack, is_angle) in zip(
-            values, self._state, self._reach, strict=True
+    def _differs(self, values: list[float], others: list[float], limits: list[float]) -> bool:
+        """Return whether two states differ by more than limits, angles along the shorter arc."""
+        for value, other, limit, is_angle in zip(
+            values, others, limits, self._is_angle, strict=True
         ):
-            moved = value - last
+            moved = value - other
             if is_angle:
                 moved -= TWO_PI * round(moved / TWO_PI)
-            if abs(moved) > speed * elapsed + slack:
+            if abs(moved) > limit:
                 return True
         return False
 

@@ -145,7 +145,9 @@ def _times(nats: float) -> str:
 def _warnings(inference: Inference) -> str:
     if not inference.warnings:
         return ""
-    items = "".join(f"<p><strong>Warning:</strong> {escape(w)}.</p>" for w in inference.warnings)
+    items = "".join(
+        f"<p><strong>Warning:</strong> {escape(wording.ended(w))}</p>" for w in inference.warnings
+    )
     return f'<div class="alarm" role="alert">{items}</div>'
 
 

@@ -43,8 +43,9 @@ class Pick(NamedTuple):
       hypothesis: its index.
       gain: nats a demonstration by which it raises the likelihood, given those before it; where
         next to no sample is left that avoids it, no more than the samples can tell.
-      standard_error: of the gain, nats, those before it taken as known; 0 where answers are exact,
-        infinite where no sample of a task is left that could tell.
+      standard_error: of the gain, nats, those before it taken as known; by how far islands differ
+        where trajectories share ancestors; 0 where answers are exact, infinite where no sample of
+        a task is left that could tell, or where those that are left are of one island.
       log_partition: [K] log Z_C with this one and all before it in force, nats.
       total_gain: nats of all demonstrations together.
       log_odds: posterior odds of one more constraint, whichever, against no more when it was

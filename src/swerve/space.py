@@ -22,6 +22,8 @@ import numpy as np
 
 TWO_PI = 2.0 * math.pi
 LATTICE_EXTENT = 250.0
+MAX_HALF_EXTENTS = 10
+MAX_TURNS = 10
 
 
 class Task(NamedTuple):
@@ -163,10 +165,25 @@ class StateSpace:
         """[n] True where a state wraps at 2 pi."""
         return np.array([name in self.angles for name in self.names])
 
-    @property
+    @cached_property
     def extent(self) -> np.ndarray:
         """[n] width of the bounds."""
         return self.bounds[:, 1] - self.bounds[:, 0]
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """[n] what distances between states are told in: the extent.
+
+        On a lattice at most LATTICE_EXTENT, so that a thousandth tells neighbours apart.
+        """
+        return np.minimum(self.extent, LATTICE_EXTENT) if self.is_lattice else self.extent
+
+    @cached_property
+    def believable(self) -> np.ndarray:
+        """[2, n] the least and largest number that can be a state: any further is another unit."""
+        centre = np.where(self.is_angle, 0.0, self.bounds.mean(axis=1))
+        reach = np.where(self.is_angle, MAX_TURNS * TWO_PI, MAX_HALF_EXTENTS * self.extent / 2)
+        return np.stack([centre - reach, centre + reach])
 
     def column(self, name: str) -> int:
         """Return the index of a state name.
@@ -186,12 +203,8 @@ class StateSpace:
         return cast(Any, xp.where(self.is_angle, wrapped, delta))
 
     def relative_distance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the largest difference [...] between states, each in units of its extent.
-
-        On a lattice of at most LATTICE_EXTENT, so that a thousandth tells neighbours apart.
-        """
-        extent = np.minimum(self.extent, LATTICE_EXTENT) if self.is_lattice else self.extent
-        return (np.abs(self.difference(a, b)) / extent).max(axis=-1)
+        """Return the largest difference [...] between states, each in its `unit`."""
+        return (np.abs(self.difference(a, b)) / self.unit).max(axis=-1)
 
     def to_json(self) -> dict[str, Any]:
         """Return this space as JSON data."""

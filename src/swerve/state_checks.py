@@ -7,19 +7,25 @@ Shapes: L samples, n state dimensions, g goal dimensions.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from swerve.space import TWO_PI, StateSpace, Task, Transitions
+from swerve.space import (
+    MAX_HALF_EXTENTS,
+    MAX_TURNS,
+    TWO_PI,
+    StateSpace,
+    Task,
+    Transitions,
+)
 
 START_TOLERANCE = 1e-3
 """How far a first state may lie from the start of its task, and a start or a goal outside the
 bounds, in units of the extent of the state space."""
 
 LATTICE_TOLERANCE = 1e-3
-MAX_HALF_EXTENTS = 10
-MAX_TURNS = 10
 MAX_ARC = 0.45 * TWO_PI
 
 RowNamer = Callable[[int], str]
@@ -49,17 +55,40 @@ def check_states(
         angle), or no whole number on a lattice, or an angle changes by more than MAX_ARC [rad]
         between two samples.
     """
+    check_path(states, times, space, where, line_of=line_of)
+    at = row_namer(where, line_of)
+    if not are_plausible(states, space):
+        check_finite(states, space.names, at)
+        _check_units(states, space, at)
+        if space.is_lattice:
+            _check_lattice(states, space, at)
+        _check_arcs(states, space, at)
+
+
+def check_path(
+    states: np.ndarray,
+    times: np.ndarray | None,
+    space: StateSpace,
+    where: str,
+    *,
+    line_of: Callable[[int], int] | None = None,
+) -> None:
+    """Check how many states and of how many numbers, and that time runs; as `check_states`."""
     states = shaped(states, (None, len(space.names)), "states", where)
     if len(states) < 2:
         raise ValueError(f"{where}: expected at least 2 states, got {len(states)}")
-    at = row_namer(where, line_of)
-    check_finite(states, space.names, at)
     if times is not None:
-        _check_times(shaped(times, (len(states),), "times", where), at)
-    _check_units(states, space, at)
-    if space.is_lattice:
-        _check_lattice(states, space, at)
-    _check_arcs(states, space, at)
+        _check_times(shaped(times, (len(states),), "times", where), row_namer(where, line_of))
+
+
+def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
+    """Return whether paths of states [..., L, n] pass the checks of single states and of arcs."""
+    low, high = space.believable
+    if not ((states >= low) & (states <= high)).all():  # NaN is not either
+        return False
+    if space.is_lattice and _off_lattice(states).any():
+        return False
+    return not (space.is_angle.any() and _wide_arcs(states, space).any())
 
 
 def shaped(value: object, shape: Sequence[int | None], what: str, where: str) -> np.ndarray:
@@ -93,6 +122,9 @@ def check_finite(values: np.ndarray, names: Sequence[str], at: RowNamer) -> None
 
 
 def _check_times(times: np.ndarray, at: RowNamer) -> None:
+    rises = (times[1:] > times[:-1]).all()
+    if rises and math.isfinite(times[0]) and math.isfinite(times[-1]):
+        return
     check_finite(times[:, None], ["t"], at)
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
@@ -104,9 +136,8 @@ def _check_times(times: np.ndarray, at: RowNamer) -> None:
 
 
 def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
-    centre = np.where(space.is_angle, 0.0, space.bounds.mean(axis=1))
-    reach = np.where(space.is_angle, MAX_TURNS * TWO_PI, MAX_HALF_EXTENTS * space.extent / 2)
-    far = np.argwhere(np.abs(states - centre) > reach)
+    low, high = space.believable
+    far = np.argwhere((states < low) | (states > high))
     if not far.size:
         return
     row, column = far[0]
@@ -125,18 +156,28 @@ def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
 
 def _check_lattice(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
     """Raise ValueError where a state [L, n] is between those that there are."""
-    for row, column in np.argwhere(np.abs(states - np.round(states)) > LATTICE_TOLERANCE)[:1]:
+    for row, column in np.argwhere(_off_lattice(states))[:1]:
         raise ValueError(
             f"{at(row)}, column {space.names[column]}: {states[row, column]:.6g} lies between two "
             "states: expected a whole number"
         )
 
 
+def _off_lattice(states: np.ndarray) -> np.ndarray:
+    return np.abs(states - np.round(states)) > LATTICE_TOLERANCE
+
+
+def _wide_arcs(states: np.ndarray, space: StateSpace) -> np.ndarray:
+    """Return where [..., L-1, a] an angle goes too far from a state [..., L, n] to the next."""
+    angles = states[..., space.is_angle]
+    turned = angles[..., 1:, :] - angles[..., :-1, :]
+    return np.abs(turned - TWO_PI * np.round(turned / TWO_PI)) > MAX_ARC
+
+
 def _check_arcs(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
-    arcs = np.abs(space.difference(states[:-1], states[1:]))
-    wide = np.argwhere((arcs > MAX_ARC) & space.is_angle)
-    if wide.size:
-        row, column = wide[0]
+    for row, angle in np.argwhere(_wide_arcs(states, space))[:1]:
+        column = np.flatnonzero(space.is_angle)[angle]
+        arcs = np.abs(space.difference(states[:-1], states[1:]))
         raise ValueError(
             f"{at(row + 1)}, column {space.names[column]}: {arcs[row, column]:.3f} rad from the "
             f"row before, too close to pi to tell which way it turned (at most {MAX_ARC:.3f}); "

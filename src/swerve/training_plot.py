@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from swerve.figures import FAINT, INK, WIDTH, headed, written
+from swerve.figures import FAINT, INK, WIDTH, headed, open_sides, written
 from swerve.solvers.probe import Reading
 from swerve.solvers.training import TrainedNominal
 from swerve.solvers.training_run import Progress
@@ -85,8 +85,7 @@ def log_scale(axes: Axes) -> None:
 def finish(axes: Axes, label: str) -> None:
     """Label the vertical axis and rule the panel."""
     axes.set_ylabel(label, fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.spines[["top", "right"]].set_visible(False)
+    open_sides(axes)
     axes.grid(axis="y", color="#dddddd", lw=0.6)
 
 

@@ -11,6 +11,7 @@ one and gives the answer of `infer`. A bad line is answered by {"error": ...} an
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +51,7 @@ class Watch:
         """Return what one line tells, or an object with an "error" that says what is wrong."""
         name = ""
         try:
-            data = json.loads(line)
+            data = _parsed(line)
             if isinstance(data, list):
                 if len(data) != len(self._names):
                     raise ValueError(f"expected {len(self._names)} numbers, got {line.strip()}")
@@ -120,6 +121,21 @@ def foresight_of(work: Work, evidence: Evidence) -> Foresight:
     if path is not None:
         foresight.save(path)
     return foresight
+
+
+def _parsed(line: str) -> Any:
+    """Return the JSON data of a line.
+
+    Raises:
+      ValueError: if it is none, cut short perhaps.
+    """
+    try:
+        return json.loads(line)
+    except json.JSONDecodeError as error:
+        raise ValueError(
+            f"expected one JSON object or array a line, got {reprlib.repr(line.strip())} "
+            f"({error.msg} at character {error.pos + 1}): the line is left out"
+        ) from error
 
 
 def _is_number(value: Any) -> bool:

@@ -127,6 +127,11 @@ def cut(text: str, length: int) -> str:
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
+def ended(text: str) -> str:
+    """Return text with a full stop, unless it ends in a question mark or was cut."""
+    return text if text.endswith(("?", "…")) else f"{text}."
+
+
 def wrapped(text: str, width: float, size: float) -> str:
     """Return text of a size [pt] in lines of a width [in], with no break inside a value."""
     text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)

@@ -20,11 +20,11 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
-from swerve.figures import FAINT, INK
-from swerve.plots import COLOURS
+from swerve.figures import FAINT, INK, open_sides
 from swerve.reproduce import files
 from swerve.reproduce.files import SIZE, SMALL, column
 from swerve.reproduce.gridworld import Curves, Result, labels
+from swerve.shading import COLOURS
 from swerve.systems.gridworld import MOVES, Gridworld
 
 STYLES = (
@@ -164,8 +164,7 @@ def draw_curves(result: Result) -> Figure:
     for axes in (upper, lower):
         axes.set_ylim(bottom=0.0)
         axes.grid(color="#e2e2e2", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(labelsize=SMALL)
+        open_sides(axes, SMALL)
     title = f"Mean of {len(result.world.sets)} sets; band: its standard error"
     figure.legend(
         *upper.get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False,
@@ -238,8 +237,7 @@ def _draw_bars(axes: Axes, result: Result, mdp: Gridworld) -> None:
     axes.set_yticks(rows, texts)
     axes.set(xlim=(0.0, 1.35), ylim=(len(shown) - 0.5, -0.5), xticks=[0, 0.25, 0.5, 0.75, 1])
     axes.set_xlabel(PROBABILITY, fontsize=SIZE)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=SMALL)
+    open_sides(axes, SMALL)
     axes.tick_params(axis="y", length=0)
 
 

@@ -24,9 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve.inference import infer
-from swerve.reproduce.human_tracks import Tracks
-from swerve.sampling import sample
+from swerve.inference import Inference
 from swerve.solvers.soft_paths import PathNominal
 from swerve.space import Task
 from swerve.systems.walker import Walker
@@ -71,7 +69,7 @@ def ladder(least: float, is_quick: bool) -> np.ndarray:
 
 def choose_beta(
     nominal: PathNominal,
-    tracks: Tracks,
+    start: Inference,
     tried: np.ndarray,
     generator: np.random.Generator,
     avoiding: int | None = None,
@@ -81,14 +79,13 @@ def choose_beta(
 
     Args:
       nominal: of the room, for any beta.
-      tracks: what people did.
+      start: what tracks enter, and what counts for them, inferred at any beta.
       tried: betas, ascending.
       generator: of sets of tracks.
       avoiding: a hypothesis that is in force, where it counts.
       advance: called after each beta.
     """
-    tasks = Task.stack([item.task for item in tracks.used])
-    start = infer(sample(nominal, tasks), tracks.used, clearance=CLEARANCE)
+    tasks = Task.stack([item.task for item in start.demonstrations])
     is_counted = start.is_counted[start.task_of]
     entered = start.entered & is_counted
     counts = is_counted & (entered.sum(axis=0) - entered > 0)
@@ -102,7 +99,7 @@ def choose_beta(
         total = np.where(counts, np.log(probability), 0.0).sum(axis=1)
         scores.append(total / np.maximum(counts.sum(axis=1), 1))
         advance()
-    walker, num, score = nominal.problem.mdp, len(tracks.used), np.array(scores)
+    walker, num, score = nominal.problem.mdp, len(entered), np.array(scores)
     assert isinstance(walker, Walker)
     tried = tried[: len(score)]
     weights = generator.multinomial(num, np.full(num, 1.0 / num), NUM_RESAMPLED)

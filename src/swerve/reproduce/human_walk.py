@@ -133,9 +133,11 @@ def _beta(
     advance: Callable[[float], None],
 ) -> Beta:
     """Choose beta, and again with the first pick in force if one constraint is likely."""
+    tasks = Task.stack([item.task for item in tracks.used])
+    start = infer(sample(nominal, tasks), tracks.used, clearance=CLEARANCE)
 
     def choose(avoiding: int | None) -> Beta:
-        beta = choose_beta(nominal, tracks, tried, generator, avoiding, lambda: advance(1.0))
+        beta = choose_beta(nominal, start, tried, generator, avoiding, lambda: advance(1.0))
         advance(float(len(tried) - len(beta.tried)))
         return beta
 

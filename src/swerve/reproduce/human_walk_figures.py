@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import Normal, Stroke
 
-from swerve.figures import FAINT, INK
-from swerve.plots import COLOURS
+from swerve.figures import FAINT, INK, open_sides
 from swerve.reproduce import files
 from swerve.reproduce.files import SIZE, SMALL, column
 from swerve.reproduce.human_walk import (
@@ -31,6 +30,7 @@ from swerve.reproduce.human_walk import (
     picks_json,
     squares,
 )
+from swerve.shading import COLOURS
 
 WALL = "#8c8c8c"
 DARK, LIGHT = COLOURS(1.0), COLOURS(0.5)
@@ -259,8 +259,7 @@ def draw_sensitivity(result: Result) -> Figure:
 def _tidy(axes: Axes) -> None:
     axes.grid(color="#e2e2e2", lw=0.6)
     axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=SMALL)
+    open_sides(axes, SMALL)
 
 
 def _legend(figure: Figure, axes: Axes, title: str, ncols: int = 1) -> None:

@@ -281,14 +281,14 @@ class PathNominal:
         last = np.take_along_axis(path, length[:, None], axis=1)
         path = np.where(np.arange(num_steps + 1) <= length[:, None], path, last)
         numbers, terminal = self._numbers[steps], self.table.ends(task.goal)[0][self._states]
-        bits = self._bits[steps[taken]]  # one trajectory after the other
-        first = np.cumsum(length) - length
+        walked = np.split(steps[taken], np.cumsum(length)[:-1])
+        entered = [np.bitwise_or.reduce(self._bits[part], axis=0) for part in walked]
         return Drawn(
             states=self.table.table.states[self._states[path]],
             total_reward=np.where(taken, self._rewards.ravel()[numbers], 0.0).sum(axis=1)
             + terminal[last[:, 0]],
             length=length,
-            violations=np.bitwise_or.reduceat(bits, first, axis=0),
+            violations=np.stack(entered),
         )
 
 
