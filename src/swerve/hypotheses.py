@@ -80,6 +80,10 @@ class HypothesisSet(ABC):
     def to_json(self) -> dict[str, Any]:
         """Return JSON data from which `hypotheses_from_json` rebuilds the set."""
 
+    def _check_index(self, index: int) -> None:
+        if not 0 <= index < len(self):
+            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
+
     def name(self, index: int) -> str:
         """Return the name of hypothesis `index`."""
         return self.constraint(index).name
@@ -109,7 +113,47 @@ class HypothesisSet(ABC):
         return ConstraintHypotheses(each)
 
 
-class GridHypotheses(HypothesisSet):
+class BoxHypotheses(HypothesisSet):
+    """Boxes of one size in regular order, the last axis fastest: cells of a grid, or windows."""
+
+    shape: tuple[int, ...]
+    """How many there are along each axis."""
+
+    @abstractmethod
+    def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return for each axis where its boxes begin and end."""
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the axes."""
+        return tuple(self.edges())
+
+    def constraint(self, index: int) -> Box:
+        """Return one of them as a box."""
+        self._check_index(index)
+        place = np.unravel_index(index, self.shape)
+        return Box(
+            **{
+                name: (float(low[k]), float(high[k]))
+                for k, (name, (low, high)) in zip(place, self.edges().items(), strict=True)
+            }
+        )
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [..., H] from states [..., n] to each box."""
+        states = np.asarray(states, float)
+        square = np.zeros((*states.shape[:-1], 1))
+        for name, (low, high) in self.edges().items():
+            values = states[..., space.column(name), None]
+            along = interval_distance(values, low, high, name in space.angles) ** 2
+            square = (square[..., None] + along[..., None, :]).reshape(*states.shape[:-1], -1)
+        return np.sqrt(square)
+
+
+class GridHypotheses(BoxHypotheses):
     """The cells of a regular grid over some of the states; made by `grid`.
 
     The last named state varies fastest: with axes theta and omega of 10 cells each,
@@ -122,31 +166,12 @@ class GridHypotheses(HypothesisSet):
         self.axes = {name: _checked_axis(name, axis) for name, axis in axes.items()}
         self.shape = tuple(cells for _, _, cells in self.axes.values())
 
-    def __len__(self) -> int:
-        return math.prod(self.shape)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """The names of the axes."""
-        return tuple(self.axes)
-
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where an axis is no state or an angle axis exceeds a full turn."""
         self._bounding_box().check(space, action_names)
 
     def _bounding_box(self) -> Box:
         return Box(**{name: (low, high) for name, (low, high, _) in self.axes.items()})
-
-    def constraint(self, index: int) -> Box:
-        """Return a cell as a box."""
-        if not 0 <= index < len(self):
-            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
-        cells = np.unravel_index(index, self.shape)
-        edges = {}
-        for (name, (low, high, count)), cell in zip(self.axes.items(), cells, strict=True):
-            width = (high - low) / count
-            edges[name] = (low + int(cell) * width, low + (int(cell) + 1) * width)
-        return Box(**edges)
 
     def cells(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the cell [...] of each state [..., n], or -1 outside the grid."""
@@ -191,10 +216,6 @@ class GridHypotheses(HypothesisSet):
                 spans.append((index[trajectory, step], last))
             segment, cell = _crossed_cells(axes, starts, steps, spans)
             _set_bits(bits, trajectory[segment], cell)
-
-    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
-        """Return the distance [..., H] from states [..., n] to each cell."""
-        return distance_to_boxes(states, space, self.edges())
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return for each axis where its cells begin and end."""
@@ -252,8 +273,7 @@ class ConstraintHypotheses(HypothesisSet):
 
     def constraint(self, index: int) -> Constraint:
         """Return constraint `index`."""
-        if not 0 <= index < len(self):
-            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
+        self._check_index(index)
         return self.constraints[index]
 
     def violations(
@@ -308,25 +328,6 @@ def checked_range(kind: str, name: str, axis: Any, third: str) -> tuple[float, f
             f"{kind}: expected finite low < high for {name!r}, got ({first!r}, {second!r})"
         )
     return low, high, last
-
-
-def distance_to_boxes(
-    states: np.ndarray, space: StateSpace, edges: Mapping[str, tuple[np.ndarray, np.ndarray]]
-) -> np.ndarray:
-    """Return the distance [..., H] from states [..., n] to the boxes of a regular arrangement.
-
-    Args:
-      states: where from.
-      space: what the states are.
-      edges: for each axis where the intervals along it begin and end; the last axis is fastest.
-    """
-    states = np.asarray(states, float)
-    square = np.zeros((*states.shape[:-1], 1))
-    for name, (low, high) in edges.items():
-        values = states[..., space.column(name), None]
-        along = interval_distance(values, low, high, name in space.angles) ** 2
-        square = (square[..., None] + along[..., None, :]).reshape(*states.shape[:-1], -1)
-    return np.sqrt(square)
 
 
 def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:

@@ -18,21 +18,14 @@ from typing import Any
 import numpy as np
 
 from swerve.arguments import whole_number
-from swerve.boxes import Box
-from swerve.hypotheses import (
-    GridHypotheses,
-    HypothesisSet,
-    checked_range,
-    distance_to_boxes,
-    unpack,
-)
+from swerve.hypotheses import BoxHypotheses, GridHypotheses, checked_range, unpack
 from swerve.space import TWO_PI, Actions, StateSpace
 
 AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
 ROUNDING = 1e-9  # of a stride
 
 
-class WindowHypotheses(HypothesisSet):
+class WindowHypotheses(BoxHypotheses):
     """Overlapping windows along some of the states; made by `windows`.
 
     The last named state varies fastest. A window lies within [low, high] of every axis; where
@@ -59,14 +52,6 @@ class WindowHypotheses(HypothesisSet):
             for count, goes_round in zip(self._cells.shape, self._goes_round, strict=True)
         )
 
-    def __len__(self) -> int:
-        return math.prod(self.shape)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """The names of the axes."""
-        return tuple(self.axes)
-
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where an axis is no state, or goes round and is no angle."""
         self._cells.check(space, action_names)
@@ -87,22 +72,6 @@ class WindowHypotheses(HypothesisSet):
             first = np.arange(num)
             ends[name] = (low + first * stride, low + (first + self.overlap) * stride)
         return ends
-
-    def constraint(self, index: int) -> Box:
-        """Return a window as a box."""
-        if not 0 <= index < len(self):
-            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
-        place = np.unravel_index(index, self.shape)
-        return Box(
-            **{
-                name: (float(low[k]), float(high[k]))
-                for k, (name, (low, high)) in zip(place, self.edges().items(), strict=True)
-            }
-        )
-
-    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
-        """Return the distance [..., H] from states [..., n] to each window."""
-        return distance_to_boxes(states, space, self.edges())
 
     def violations(
         self,
