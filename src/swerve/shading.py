@@ -26,7 +26,8 @@ from matplotlib.patheffects import Normal, Stroke
 
 from swerve import plane as planes
 from swerve.figures import INK
-from swerve.hypotheses import GridHypotheses, HypothesisSet
+from swerve.grids import GridHypotheses
+from swerve.hypotheses import HypothesisSet
 from swerve.plane import Plane
 from swerve.sliding import WindowHypotheses
 

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from swerve.arguments import whole_number
-from swerve.hypotheses import BoxHypotheses, GridHypotheses, checked_range, unpack
+from swerve.grids import BoxHypotheses, GridHypotheses, checked_range
+from swerve.hypotheses import unpack
 from swerve.space import TWO_PI, Actions, StateSpace
 
 AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
