@@ -30,7 +30,7 @@ from rich.table import Table
 
 from swerve.evidence import Evidence
 from swerve.foresight import Foresight, Inputs, hidden_sizes
-from swerve.hypotheses import grid
+from swerve.grids import grid
 from swerve.monitor import Monitor
 from swerve.problem import ProblemRecord
 from swerve.samples import Samples, summarise

@@ -6,7 +6,8 @@ import numpy as np
 
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
-from swerve.hypotheses import HypothesisSet, grid
+from swerve.grids import grid
+from swerve.hypotheses import HypothesisSet
 from swerve.problem import ProblemRecord
 from swerve.samples import Samples, summarise
 from swerve.space import TWO_PI, StateSpace, Task

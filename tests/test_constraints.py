@@ -23,7 +23,8 @@ from swerve.constraints import (
     check_constraints,
     violates,
 )
-from swerve.hypotheses import ConstraintHypotheses, constraint_from_json, grid
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses, constraint_from_json
 from swerve.space import TWO_PI, Actions, StateSpace
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))

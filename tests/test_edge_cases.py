@@ -28,7 +28,8 @@ from swerve import Box, Problem, Task, grid, hoeffding_error, infer
 from swerve.demonstrations import Demonstration
 from swerve.estimators import avoid_probability
 from swerve.evidence import Evidence
-from swerve.hypotheses import ConstraintHypotheses, GridHypotheses, unpack
+from swerve.grids import GridHypotheses
+from swerve.hypotheses import ConstraintHypotheses, unpack
 from swerve.space import TWO_PI, StateSpace
 from swerve.specification import _is_user_source
 

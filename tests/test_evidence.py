@@ -14,7 +14,8 @@ from synthetic import SPACE, TASKS, evidence_of_columns, make_evidence, make_rec
 from swerve import estimators
 from swerve.boxes import Box
 from swerve.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence
-from swerve.hypotheses import ConstraintHypotheses, grid, unpack
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses, unpack
 from swerve.samples import summarise
 from swerve.space import TWO_PI, StateSpace, Task
 from swerve.store import StoreError, open_file

@@ -12,14 +12,8 @@ from hypothesis import strategies as st
 
 from swerve.boxes import Box
 from swerve.constraints import Predicate, violates
-from swerve.hypotheses import (
-    ConstraintHypotheses,
-    GridHypotheses,
-    HypothesisSet,
-    grid,
-    hypotheses_from_json,
-    unpack,
-)
+from swerve.grids import GridHypotheses, grid
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json, unpack
 from swerve.space import TWO_PI, StateSpace
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))

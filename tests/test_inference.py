@@ -18,7 +18,8 @@ from synthetic import (
 
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
-from swerve.hypotheses import grid, unpack
+from swerve.grids import grid
+from swerve.hypotheses import unpack
 from swerve.inference import Inference, infer
 from swerve.space import TWO_PI, Task
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swerve import likelihood
-from swerve.hypotheses import grid
+from swerve.grids import grid
 from swerve.inference import infer
 from tests.synthetic import evidence_of_columns, make_demonstration
 

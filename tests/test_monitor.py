@@ -12,7 +12,8 @@ from synthetic import SPACE, TASKS, make_demonstration, make_evidence, make_reco
 from swerve import ActionBox, Box, Monitor, Predicate, Task, infer
 from swerve.evidence import Evidence
 from swerve.foresight import Ahead
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, grid, unpack
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, unpack
 from swerve.space import TWO_PI, StateSpace
 from swerve.stepwise import stepwise
 

@@ -13,7 +13,8 @@ from test_monitor import Known
 import swerve
 from swerve import Ball, Box, Demonstration, HalfSpace, Monitor, Task, infer
 from swerve.evidence import Evidence
-from swerve.hypotheses import ConstraintHypotheses, grid
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses
 from swerve.monitor import REPEATED, Belief
 from swerve.space import TWO_PI
 

@@ -9,7 +9,8 @@ from synthetic import SPACE, make_record
 
 from swerve.boxes import Box
 from swerve.constraints import Predicate
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json, grid
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json
 from swerve.plane import Path, Plane, plane_of, runs
 from swerve.space import TWO_PI, StateSpace
 

@@ -41,7 +41,8 @@ from swerve import (
 from swerve.boxes import ActionBox, Box
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json, grid
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json
 from swerve.inference import Inference, infer
 from swerve.plane import plane_of
 from swerve.plots import plot_inference, plot_posterior, plot_ranking

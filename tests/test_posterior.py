@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swerve.hypotheses import grid
+from swerve.grids import grid
 from swerve.inference import infer
 from swerve.posterior import (
     Posterior,

@@ -23,7 +23,8 @@ from swerve import report, wording
 from swerve.constraints import Predicate
 from swerve.demonstrations import Demonstration
 from swerve.evidence import Evidence
-from swerve.hypotheses import ConstraintHypotheses, grid
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses
 from swerve.inference import Inference, infer
 from swerve.report import page, write_report
 from swerve.space import TWO_PI, StateSpace, Task

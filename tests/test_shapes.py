@@ -60,11 +60,11 @@ def to_edge(vertices: Any, points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(points[:, None] - edge, axis=-1).min(axis=1)
 
 
-def star(seed: int) -> np.ndarray:
+def star(seed: int, num: int = 7) -> np.ndarray:
     """A polygon around the origin that does not cross itself and is seldom convex."""
     generator = np.random.default_rng(seed)
-    angle = np.arange(7) * TWO_PI / 7 + generator.uniform(0.0, 0.6, 7)
-    radius = generator.uniform(0.4, 3.0, 7)
+    angle = np.arange(num) * TWO_PI / num + generator.uniform(0.0, 4.2 / num, num)
+    radius = generator.uniform(0.4, 3.0, num)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
@@ -108,6 +108,46 @@ class TestContains:
         assert 20 < expected.sum() < by_winding(ARROW, states).sum()
 
 
+class TestManyVertices:
+    """Points are told apart by their place first and judged some at a time: nothing may be lost."""
+
+    VERTICES = star(5, 90)
+    STATES = np.random.default_rng(4).uniform(-6.0, 6.0, (4, 600, 3))
+
+    @pytest.mark.parametrize("depth", [0.0, 0.1])
+    def test_a_batch_is_judged_as_each_of_it_is(self, depth: float) -> None:
+        polygon = Polygon(self.VERTICES, depth=depth)
+        starts, ends = self.STATES[:2], 0.8 * self.STATES[:2] + 0.2 * self.STATES[2:]
+        assert starts.size * len(self.VERTICES) > polygons.AT_ONCE
+        inside, crossed = polygon.contains(starts, SPACE), polygon.crosses(starts, ends, SPACE)
+        assert inside.shape == crossed.shape == (2, 600)
+        for index in np.ndindex(2, 100):
+            assert polygon.contains(starts[index], SPACE) == inside[index]
+            assert polygon.crosses(starts[index], ends[index], SPACE) == crossed[index]
+        assert 0.01 < inside.mean() < crossed.mean() - 0.01
+
+    def test_the_winding_number_agrees(self) -> None:
+        polygon = Polygon(self.VERTICES)
+        found = polygon.contains(self.STATES, SPACE)
+        np.testing.assert_array_equal(found, by_winding(self.VERTICES, self.STATES[..., 1:]))
+        deep = Polygon(self.VERTICES, depth=0.1).contains(self.STATES, SPACE)
+        to = np.sqrt(polygons.square_to_edge(self.VERTICES, *np.moveaxis(self.STATES, -1, 0)[1:]))
+        np.testing.assert_array_equal(deep, found & (to > 0.1))
+
+    def test_distance_keeps_the_shape_of_a_batch(self) -> None:
+        polygon, states = Polygon(self.VERTICES), self.STATES[:, :5]
+        found = polygon.distance(states, SPACE)
+        each = [[polygon.distance(state, SPACE) for state in row] for row in states]
+        np.testing.assert_array_equal(found, each)
+        assert (found > 0).any()
+
+    def test_no_state_at_all(self) -> None:
+        nothing = np.zeros((0, 3))
+        assert Polygon(self.VERTICES).contains(nothing, SPACE).shape == (0,)
+        assert Polygon(self.VERTICES).crosses(nothing, nothing, SPACE).shape == (0,)
+        assert Polygon(self.VERTICES).distance(nothing, SPACE).shape == (0,)
+
+
 class TestCrosses:
     @pytest.mark.parametrize("constraint", ALL, ids=repr)
     def test_agrees_with_dense_points(self, constraint: Constraint) -> None:
@@ -120,7 +160,7 @@ class TestCrosses:
         dense = constraint.contains(points, SPACE).any(axis=0)
         found = constraint.crosses(starts, ends, SPACE)
         assert not (dense & ~found).any()
-        smaller = constraint.eroded({"theta": 0.01, "x": 0.01, "y": 0.01})
+        smaller = constraint.eroded({"theta": 0.01, "x": 0.01, "y": 0.01}, SPACE)
         assert not (smaller.crosses(starts, ends, SPACE) & ~dense).any()
         assert (found != dense).mean() < 0.01
         assert 0.02 < found.mean() < 0.98
@@ -189,25 +229,28 @@ class TestDistanceAndMargin:
 
     def test_what_is_eroded_is_deeper_than_the_margin(self) -> None:
         states = np.random.default_rng(2).uniform(-4.0, 4.0, (4000, 2))
-        ball = Ball(1.3, x=0.5, y=-0.25).eroded({"x": 0.1, "y": 0.3})
+        ball = Ball(1.3, x=0.5, y=-0.25).eroded({"x": 0.1, "y": 0.3}, SPACE)
+        assert isinstance(ball, Ball)
         assert ball.radius == pytest.approx(1.0)
-        assert Ball(1.3, x=0.5).eroded({"y": 9.0}).radius == 1.3
-        half = HalfSpace(1.0, x=1.0, y=-2.0).eroded({"x": 0.1, "y": 0.3})
+        assert repr(Ball(1.3, x=0.5).eroded({"y": 9.0}, SPACE)) == "Ball(1.3, x=0.5)"
+        half = HalfSpace(1.0, x=1.0, y=-2.0).eroded({"x": 0.1, "y": 0.3}, SPACE)
         for dx, dy in ((0.1, 0.3), (-0.1, 0.3), (0.1, -0.3), (-0.1, -0.3)):
             moved = states + np.array([dx, dy])
             inside = half.contains(states, PLANE)
             assert (ALL[3].contains(moved, PLANE) | ~inside).all()
+        assert isinstance(half, HalfSpace)
         assert half.offset == pytest.approx(1.7)
-        polygon = Polygon(ARROW).eroded({"x": 0.1}).eroded({"y": 0.1, "x": 0.05})
+        polygon = Polygon(ARROW).eroded({"x": 0.1}, SPACE).eroded({"y": 0.1, "x": 0.05}, SPACE)
+        assert isinstance(polygon, Polygon)
         assert polygon.depth == pytest.approx(0.2)
-        assert polygon.eroded({"theta": 9.0}).depth == pytest.approx(0.2)
+        assert repr(polygon.eroded({"theta": 9.0}, SPACE)) == repr(polygon)
 
     def test_where_nothing_is_left(self) -> None:
         with pytest.raises(ValueError, match=r"margin: 1.3 for 'y' leaves nothing of ball .* 1\.3"):
-            Ball(1.3, x=0.0, y=0.0).eroded({"x": 0.1, "y": 1.3})
+            Ball(1.3, x=0.0, y=0.0).eroded({"x": 0.1, "y": 1.3}, SPACE)
         message = r"margin: 1 for 'x' leaves nothing of polygon .* expected less than 1, the dist"
         with pytest.raises(ValueError, match=message):
-            Polygon(SQUARE).eroded({"x": 1.0})
+            Polygon(SQUARE).eroded({"x": 1.0}, SPACE)
         with pytest.raises(ValueError, match=r"a depth of 1 leaves nothing: expected less than"):
             Polygon(SQUARE, depth=1.0)
         with pytest.raises(ValueError, match=r"expected a Polygon without depth"):

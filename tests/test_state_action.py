@@ -209,7 +209,8 @@ class TestWords:
         assert ConstraintHypotheses(HYPOTHESES).about_actions
 
     def test_less_a_margin(self) -> None:
-        smaller = FAST_LEFT.eroded({"x": 0.5})
+        smaller = FAST_LEFT.eroded({"x": 0.5}, PLANE)
+        assert isinstance(smaller, StateAction)
         assert repr(smaller.states) == "Box(x=(-3.5, -0.5))"
         assert smaller.actions is FAST
 

@@ -7,7 +7,8 @@ from synthetic import evidence_of_columns, make_demonstration, make_evidence, ma
 from swerve import wording
 from swerve.boxes import Box
 from swerve.constraints import Predicate
-from swerve.hypotheses import ConstraintHypotheses, grid
+from swerve.grids import grid
+from swerve.hypotheses import ConstraintHypotheses
 from swerve.inference import Inference, infer
 
 CELLS = grid(x=(0.0, 10.0, 10))  # the tasks start in 1, 5 and 9

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from swerve.evidence import Evidence
     from swerve.foresight import Foresight
     from swerve.foresight_training import Rollouts, foresee
-    from swerve.hypotheses import HypothesisSet, grid
+    from swerve.grids import grid
+    from swerve.hypotheses import HypothesisSet
     from swerve.inference import Inference, infer
     from swerve.mdp import MDP, rk4
     from swerve.monitor import Monitor
@@ -110,7 +111,7 @@ _HOMES = {
     "follow": "course",
     "foresee": "foresight_training",
     "greedy": "selection",
-    "grid": "hypotheses",
+    "grid": "grids",
     "hoeffding_error": "estimators",
     "hoeffding_sample_size": "estimators",
     "infer": "inference",

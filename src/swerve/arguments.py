@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 
 def whole_number(value: Any, name: str, least: int) -> int:
@@ -24,42 +27,47 @@ def whole_number(value: Any, name: str, least: int) -> int:
     return number
 
 
+def number_or_nan(value: Any) -> float:
+    """Return a value as a float, NaN where it is no number, such as text, True or a list."""
+    try:
+        return math.nan if isinstance(value, str | bool) or np.ndim(value) else float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def numbers(values: Any, count: int) -> list[float] | None:
+    """Return values as so many floats, NaN for each that is no number; None if there are others."""
+    try:
+        items = [] if isinstance(values, str) else list(values)
+    except TypeError:
+        return None
+    return [number_or_nan(item) for item in items] if len(items) == count else None
+
+
+def two_names(value: Any, name: str) -> tuple[str, str]:
+    """Return the names of two states.
+
+    Raises:
+      ValueError: if it is no list of two different names.
+    """
+    names = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else ()
+    if len(names) != 2 or not all(isinstance(item, str) for item in names) or names[0] == names[1]:
+        raise ValueError(
+            f"{name}: expected the names of two states, got {value!r}: give them as in ('x', 'y')"
+        )
+    return names
+
+
 def positive_number(value: Any, name: str) -> float:
     """Return a value as a float.
 
     Raises:
       ValueError: if it is no finite number above 0.
     """
-    try:
-        number = _number(value)
-    except (TypeError, ValueError):
-        number = math.nan
+    number = number_or_nan(value)
     if not (math.isfinite(number) and number > 0.0):
         raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
     return number
-
-
-def number(value: Any, name: str, expected: str) -> float:
-    """Return a value as a float.
-
-    Args:
-      value: the argument.
-      name: of the argument.
-      expected: what it should be, for the message.
-
-    Raises:
-      ValueError: if it is no number; NaN is one.
-    """
-    try:
-        return _number(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected {expected}, got {value!r}") from None
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, str | bool):
-        raise TypeError("no number")
-    return float(value)
 
 
 def instance(value: Any, kind: type, name: str, remedy: str) -> None:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swerve.arguments import numbers
 from swerve.constraints import Constraint, nowhere
-from swerve.space import TWO_PI, Actions, StateSpace
+from swerve.space import TWO_PI, Actions, StateSpace, is_full_turn
 
 if TYPE_CHECKING:
     from swerve.mdp import MDP
@@ -96,11 +97,15 @@ class Box(Constraint):
         ]
         return np.linalg.norm(parts, axis=0)
 
-    def eroded(self, margin: Mapping[str, float]) -> Box:
-        """Return the box less a margin on both sides of every interval; open sides stay open."""
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Box:
+        """Return the box less a margin on both sides of every interval that has sides.
+
+        Open sides stay open, and a full turn is all there is.
+        """
         intervals = {}
         for name, (low, high) in self.intervals.items():
-            width = margin.get(name, 0.0)
+            has_sides = not (name in space.angles and is_full_turn(low, high))
+            width = margin.get(name, 0.0) if has_sides else 0.0
             if not low + width < high - width:
                 raise ValueError(
                     f"margin: {width:g} for {name!r} leaves nothing of {self.name}: expected less "
@@ -171,9 +176,9 @@ class ActionBox(Constraint):
         """Return [...] infinity: it is about no states, so none is near it."""
         return np.full(np.shape(states)[:-1], np.inf)
 
-    def eroded(self, margin: Mapping[str, float]) -> ActionBox:
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> ActionBox:
         """Return itself: the margin is about states."""
-        del margin
+        del margin, space
         return self
 
     def to_json(self) -> dict[str, Any]:
@@ -205,11 +210,15 @@ def _checked_intervals(
         raise ValueError(f"{kind}: expected at least one interval, as in {kind}(x=(0.0, 1.0))")
     checked = {}
     for name, interval in intervals.items():
-        if np.shape(interval) != (2,):
+        pair = numbers(interval, 2)
+        if pair is None:
             raise ValueError(f"{kind}: expected {name}=(low, high), got {interval!r}")
-        low, high = (float(value) for value in interval)
+        low, high = pair
         if not low < high:
-            raise ValueError(f"{kind}: expected low < high for {name!r}, got ({low}, {high})")
+            raise ValueError(
+                f"{kind}: expected low < high for {name!r}, got {interval!r}: give two numbers, "
+                "+-inf for an open side"
+            )
         checked[name] = (low, high)
     return checked
 

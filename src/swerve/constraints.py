@@ -12,6 +12,7 @@ Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 from __future__ import annotations
 
 import functools
+import math
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from swerve.arguments import whole_number
+from swerve.arguments import number_or_nan, whole_number
 from swerve.space import Actions, StateSpace
 
 
@@ -83,16 +84,35 @@ class Constraint(ABC):
             f"distances to, got {type(self).__name__}"
         )
 
-    def eroded(self, margin: Mapping[str, float]) -> Constraint:
+    def eroded(self, margin: Mapping[str, float], space: StateSpace) -> Constraint:
         """Return the set of states deeper inside than measurement noise explains.
 
         Args:
           margin: for some states, how deep, in the state's unit.
+          space: what the states are: an interval that goes round an angle has no ends to lose.
 
         Raises:
-          ValueError: if nothing is left, or there is no telling, as for predicates.
+          ValueError: if a margin is negative or no number, or is of no state, if nothing is left,
+            or there is no telling, as for predicates.
         """
-        del margin
+        if not isinstance(margin, Mapping):
+            raise ValueError(
+                f"margin: expected widths by state, as in {{'x': 0.05}}, got {margin!r}"
+            )
+        for name, width in margin.items():
+            if name not in space.names:
+                raise ValueError(
+                    f"margin: no state named {name!r}; the states are {', '.join(space.names)}"
+                )
+            if not 0.0 <= number_or_nan(width) < math.inf:
+                raise ValueError(
+                    f"margin: expected a width >= 0 for {name!r}, in its unit, got {width!r}"
+                )
+        return self._eroded(margin, space)
+
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Constraint:
+        """Return what `eroded` does, of a margin that has been checked."""
+        del margin, space
         raise ValueError(
             f"{self.name}: a {type(self).__name__} cannot be made smaller by a margin: use "
             "constraints with a shape, such as Box"
@@ -114,12 +134,16 @@ class Union(Constraint):
     """
 
     def __init__(self, name: str, constraints: Sequence[Constraint]) -> None:
+        if not isinstance(name, str):
+            raise ValueError(f"Union: expected a name first, got {name!r}")
         self._name = name
-        self._constraints = tuple(constraints)
-        if not self._constraints or not all(
-            isinstance(part, Constraint) for part in self._constraints
-        ):
-            raise ValueError(f"Union {name!r}: expected constraints, got {constraints!r}")
+        parts = tuple(constraints) if isinstance(constraints, Iterable) else ()
+        if not parts or not all(isinstance(part, Constraint) for part in parts):
+            raise ValueError(
+                f"Union {name!r}: expected constraints, got {constraints!r}: give a list of at "
+                "least one, such as [Box(x=(0.0, 1.0))]"
+            )
+        self._constraints: tuple[Constraint, ...] = parts
         self.about_actions = any(part.about_actions for part in self._constraints)
         self.needs_code = any(part.needs_code for part in self._constraints)
 
@@ -172,9 +196,9 @@ class Union(Constraint):
         """Return the distance [...] of states to the nearest of the parts."""
         return np.min([part.distance(states, space) for part in self._constraints], axis=0)
 
-    def eroded(self, margin: Mapping[str, float]) -> Union:
-        """Return the union of the parts, each less the margin."""
-        return Union(self._name, [part.eroded(margin) for part in self._constraints])
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Union:
+        """Return the union of the parts, each less the margin, also where one adjoins another."""
+        return Union(self._name, [part.eroded(margin, space) for part in self._constraints])
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
@@ -190,11 +214,18 @@ class Predicate(Constraint):
       function: maps states [..., n] to booleans [...]; written with operators and
         `states.__array_namespace__()` or `jax.numpy`, so that it also works while JAX traces it.
       num_points: how many evenly spaced points of a segment between two states are tried.
+
+    Raises:
+      ValueError: if the name is no text, the function none, or the number not 1 or more.
     """
 
     needs_code = True
 
     def __init__(self, name: str, function: Callable[[Any], Any], num_points: int = 8) -> None:
+        if not isinstance(name, str):
+            raise ValueError(f"Predicate: expected a name first, got {name!r}")
+        if not callable(function):
+            raise ValueError(f"Predicate {name!r}: expected a function of states, got {function!r}")
         self._name = name
         self.function = function
         self.num_points = whole_number(num_points, f"Predicate {name!r}: num_points", 1)
@@ -268,11 +299,16 @@ def check_constraints(
     """
     if isinstance(constraints, Constraint):
         raise ValueError(f"{where}: expected a list of constraints, got {constraints!r} alone")
+    if not isinstance(constraints, Iterable):
+        raise ValueError(f"{where}: expected a list of constraints, got {constraints!r}")
     checked = tuple(constraints)
     for k, constraint in enumerate(checked):
         if not isinstance(constraint, Constraint):
             raise ValueError(f"{where}[{k}]: expected a Constraint, got {constraint!r}")
-        constraint.check(space, action_names)
+        try:
+            constraint.check(space, action_names)
+        except ValueError as error:
+            raise ValueError(f"{where}[{k}]: {error}") from None
     return checked
 
 

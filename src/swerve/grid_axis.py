@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swerve.space import TWO_PI
+from swerve.space import TWO_PI, is_full_turn
 
 
 class GridAxis:
@@ -26,8 +26,7 @@ class GridAxis:
     def __init__(self, column: int, low: float, high: float, count: int, is_angle: bool) -> None:
         self.column, self.low, self.count, self.is_angle = column, low, count, is_angle
         self.width = (high - low) / count
-        fills = is_angle and high - low > TWO_PI * (1 - 1e-9)
-        self.period = count if fills else count + 1
+        self.period = count if is_angle and is_full_turn(low, high) else count + 1
 
     def position(self, states: np.ndarray) -> np.ndarray:
         """Return [...] the distance above the low end; for angles in [0, 2 pi)."""

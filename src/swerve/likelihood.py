@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swerve.arguments import number
+from swerve.arguments import number_or_nan
 
 if TYPE_CHECKING:
     from swerve.evidence import Evidence
@@ -79,9 +79,9 @@ def checked_tolerance(tolerance: float) -> float:
     expected = (
         f"the probability that a demonstration ignores the constraint, from 0 to {MAX_TOLERANCE}"
     )
-    value = number(tolerance, "tolerance", expected)
+    value = number_or_nan(tolerance)
     if not 0.0 <= value <= MAX_TOLERANCE:
-        raise ValueError(f"tolerance: expected {expected}, got {tolerance}")
+        raise ValueError(f"tolerance: expected {expected}, got {tolerance!r}")
     return value
 
 
@@ -106,9 +106,9 @@ def is_counted(
     shape = evidence.num_tasks, len(problem.hypotheses)
     if clearance is None and margin is None:
         return np.ones(shape, bool)
-    least = 0.0 if clearance is None else number(clearance, "clearance", "a distance >= 0")
+    least = 0.0 if clearance is None else number_or_nan(clearance)
     if not (math.isfinite(least) and least >= 0.0):
-        raise ValueError(f"clearance: expected a distance >= 0, got {clearance}")
+        raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
     ends = [tasks.start]
     if problem.goal_names == problem.space.names:
         ends.append(tasks.goal)

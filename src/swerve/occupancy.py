@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from swerve.arguments import positive_number
+from swerve.arguments import numbers, positive_number, two_names
 from swerve.constraints import Constraint
 from swerve.space import StateSpace
 
@@ -50,19 +50,18 @@ class Occupancy(Constraint):
         names: Sequence[str] = ("x", "y"),
     ) -> None:
         self._name = name
-        self.blocked = np.array(blocked)
-        self.corner = tuple(float(value) for value in corner)
+        self.blocked = _as_array(blocked)
         self.cell = positive_number(cell, f"Occupancy {name!r}: cell")
-        self.names = tuple(names)
+        self.names = two_names(names, f"Occupancy {name!r}: names")
         if self.blocked.ndim != 2 or self.blocked.dtype != bool or not self.blocked.size:
             raise ValueError(
                 f"Occupancy {name!r}: expected a map [rows, columns] of booleans, got "
                 f"{self.blocked.dtype} of shape {self.blocked.shape}"
             )
-        if len(self.corner) != 2 or not all(map(math.isfinite, self.corner)):
+        place = numbers(corner, 2)
+        if place is None or not all(map(math.isfinite, place)):
             raise ValueError(f"Occupancy {name!r}: expected a corner (x, y), got {corner!r}")
-        if len(self.names) != 2:
-            raise ValueError(f"Occupancy {name!r}: expected the names of two states, got {names!r}")
+        self.corner = tuple(place)
 
     def __repr__(self) -> str:
         """Return what tells one map from another, without the map."""
@@ -81,9 +80,13 @@ class Occupancy(Constraint):
         """Return the places nearer than a distance to one that is blocked, and those.
 
         The middle of a body as wide cannot come there; beyond the map counts as blocked.
+
+        Raises:
+          ValueError: if the distance is no finite number above 0.
         """
         from scipy.ndimage import distance_transform_edt
 
+        distance = positive_number(distance, f"Occupancy {self._name!r}: distance to widen by")
         free = np.pad(~self.blocked, 1)
         nearest = np.asarray(distance_transform_edt(free))[1:-1, 1:-1] * self.cell
         return Occupancy(self.name, nearest < distance, self.corner, self.cell, self.names)
@@ -150,3 +153,11 @@ class Occupancy(Constraint):
         rows, columns = data["shape"]
         blocked = np.unpackbits(bits, count=rows * columns).astype(bool).reshape(rows, columns)
         return cls(data["name"], blocked, data["corner"], data["cell"], data["names"])
+
+
+def _as_array(blocked: Any) -> np.ndarray:
+    """Return an array of its own; of objects, which is refused, where rows differ in length."""
+    try:
+        return np.array(blocked)
+    except ValueError:
+        return np.array(list(blocked), dtype=object)

@@ -20,7 +20,8 @@ import numpy as np
 from swerve import polygons
 from swerve.boxes import Box
 from swerve.constraints import Constraint, Union
-from swerve.hypotheses import ConstraintHypotheses, GridHypotheses, HypothesisSet
+from swerve.grids import GridHypotheses
+from swerve.hypotheses import ConstraintHypotheses, HypothesisSet
 from swerve.inference import Inference
 from swerve.problem import ProblemRecord
 from swerve.shapes import Ball, HalfSpace, Polygon

@@ -5,21 +5,26 @@ A point is enclosed where a ray from it to the right crosses an odd number of ed
 
     (y1 > y) != (y2 > y)    and    x < x1 + (x2 - x1) (y - y1) / (y2 - y1).
 
-What is called with points works alike on NumPy and JAX arrays.
+What is called with points works alike on NumPy and JAX arrays. All edges are tried at once, and on
+NumPy only for points that may lie inside, see `where_near`.
 
-Shapes: V vertices, C cells of a search, ... any batch dimensions.
+Shapes: V vertices and as many edges, C lines and circles, M points, ... any batch dimensions.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from swerve.arguments import numbers
+
 FLAT = 1e-12  # of the square of the extent: less area than this is none
 PRECISION = 0.01  # to which the deepest point is looked for
+BEYOND = 0.01  # of an edge: how far beyond its ends a cut still counts, whatever is rounded
+AT_ONCE = 1 << 15  # pairs of a point and an edge judged at once: what is worked out stays in cache
 
 
 def checked_vertices(vertices: Any) -> np.ndarray:
@@ -29,7 +34,7 @@ def checked_vertices(vertices: Any) -> np.ndarray:
       ValueError: if there are fewer than 3 vertices, one is repeated or not finite, they lie on a
         line, or the polygon crosses itself.
     """
-    corners = np.array(vertices, float)
+    corners = _as_array(vertices)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise ValueError(
             "Polygon: expected at least 3 vertices, each a pair of numbers, got an array of shape "
@@ -38,46 +43,88 @@ def checked_vertices(vertices: Any) -> np.ndarray:
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=1))[0])
         raise ValueError(f"Polygon: vertex {bad} is not finite: {corners[bad].tolist()}")
-    for i, j in itertools.combinations(range(len(corners)), 2):
-        if (corners[i] == corners[j]).all():
+    for i, corner in enumerate(corners):
+        same = np.flatnonzero((corners[i + 1 :] == corner).all(axis=1))
+        if same.size:
             raise ValueError(
-                f"Polygon: vertices {i} and {j} are the same, {corners[i].tolist()}: name each "
-                "once; the last edge leads back to the first vertex"
+                f"Polygon: vertices {i} and {i + 1 + same[0]} are the same, {corner.tolist()}: "
+                "name each once; the last edge leads back to the first vertex"
             )
     extent = float(np.ptp(corners, axis=0).max())
-    turns = [_turn(corners[0], corners[1], corner) for corner in corners[2:]]
-    if np.abs(turns).max() <= FLAT * extent**2:
+    if np.abs(_turn(corners[0], corners[1], corners[2:])).max() <= FLAT * extent**2:
         raise ValueError("Polygon: expected an area, but all vertices lie on one line")
     _check_simple(corners)
     return corners
 
 
+def _as_array(vertices: Any) -> np.ndarray:
+    """Return vertices as an array, or raise ValueError with the first that is no pair."""
+    try:
+        corners = np.asarray(vertices)
+        if corners.dtype.kind in "iuf":
+            return corners.astype(float)
+    except ValueError:
+        pass  # the rows are of several lengths
+    listed = list(vertices) if isinstance(vertices, Sequence) else []
+    bad = [
+        k for k, vertex in enumerate(listed) if not np.isfinite(numbers(vertex, 2) or np.nan).all()
+    ]
+    got = f"vertex {bad[0]} is {listed[bad[0]]!r}" if bad else f"got {vertices!r}"
+    raise ValueError(
+        f"Polygon: expected at least 3 vertices, each a pair of numbers, but {got}: give them as "
+        "in [(0.0, 0.0), (2.0, 0.0), (1.0, 1.0)]"
+    )
+
+
+def where_near(judge: Callable[..., Any], near: Any, values: Sequence[Any], num_edges: int) -> Any:
+    """Return [...] where `near` and what points are judged to be.
+
+    On NumPy only those near are judged. JAX, whose shapes are fixed, judges all.
+
+    Args:
+      judge: maps values [M] to booleans [M]; the work grows with M and with the edges.
+      near: [...] False where the answer is no.
+      values: each [...].
+      num_edges: V.
+    """
+    if not isinstance(near, np.ndarray | np.bool_):
+        return near & judge(*values)
+    found, rows = np.zeros(near.size, bool), np.flatnonzero(near)
+    if rows.size:
+        picked = [np.reshape(value, -1)[rows] for value in values]
+        found[rows] = blockwise(judge, picked, num_edges)
+    return found.reshape(near.shape)
+
+
+def blockwise(function: Callable[..., Any], values: Sequence[Any], num_edges: int) -> np.ndarray:
+    """Return [M] what a function makes of values, each [M], some at a time so as to need little."""
+    size = max(1, AT_ONCE // num_edges)
+    blocks = range(0, max(1, len(values[0])), size)
+    return np.concatenate([function(*(v[k : k + size] for v in values)) for k in blocks])
+
+
 def encloses(vertices: np.ndarray, x: Any, y: Any) -> Any:
     """Return [...] True where points lie inside a polygon, by the number of crossings."""
-    inside = x.__array_namespace__().zeros_like(x, dtype=bool)
-    for (x1, y1), (x2, y2) in _edges(vertices):
-        if y1 != y2:
-            at = x1 + (x2 - x1) / (y2 - y1) * (y - y1)
-            inside = inside ^ (((y1 > y) != (y2 > y)) & (x < at))
-    return inside
+    (x1, y1), (x2, y2) = _edges(vertices, np.ndim(x))
+    slope = (x2 - x1) / np.where(y1 == y2, 1.0, y2 - y1)
+    crossed = ((y1 > y) != (y2 > y)) & (x < x1 + slope * (y - y1))
+    return x.__array_namespace__().logical_xor.reduce(crossed, axis=0)
 
 
 def square_to_edge(vertices: np.ndarray, x: Any, y: Any) -> Any:
     """Return the square of the distance [...] of points to the nearest edge."""
-    xp = x.__array_namespace__()
-    least = None
-    for (x1, y1), (x2, y2) in _edges(vertices):
-        dx, dy = x2 - x1, y2 - y1
-        share = xp.clip(((x - x1) * dx + (y - y1) * dy) / (dx**2 + dy**2), 0.0, 1.0)
-        square = (x - x1 - share * dx) ** 2 + (y - y1 - share * dy) ** 2
-        least = square if least is None else xp.minimum(least, square)
-    return least
+    return _squares_to_edges(vertices, x, y).min(axis=0)
 
 
-def cuts(vertices: np.ndarray, depth: float, start: Any, step: Any) -> list[Any]:
-    """Return where lines start + u * step may cross what is deeper in a polygon than a depth.
+def is_farther(vertices: np.ndarray, distance: float, x: Any, y: Any) -> Any:
+    """Return [...] True where points are farther than a distance from every edge."""
+    return (_squares_to_edges(vertices, x, y) > distance**2).all(axis=0)
 
-    Its edge lies on lines beside the polygon's edges, and on circles around its vertices.
+
+def cuts(vertices: np.ndarray, depth: float, start: Any, step: Any) -> Any:
+    """Return where segments start + u * step may cross the edge of what is deeper than a depth.
+
+    That edge lies on lines beside the polygon's edges, and on circles around its vertices.
 
     Args:
       vertices: [V, 2].
@@ -86,22 +133,29 @@ def cuts(vertices: np.ndarray, depth: float, start: Any, step: Any) -> list[Any]
       step: likewise.
 
     Returns:
-      Values [...] of u; 0 where a line cuts nothing.
+      [C, ...] values of u in ascending order, all of the crossings with 0 < u < 1 among them; 0
+      where a line or circle is not cut there. On NumPy C is the largest number of cuts.
     """
     (x, y), (dx, dy) = start, step
     xp = x.__array_namespace__()
+    (x1, y1), (x2, y2) = _edges(vertices, np.ndim(x))
+    length = np.hypot(x2 - x1, y2 - y1)
+    nx, ny = (y1 - y2) / length, (x2 - x1) / length
+    slope, height = nx * dx + ny * dy, nx * (x - x1) + ny * (y - y1)
+    divisor = xp.where(slope == 0, 1.0, slope)
     found = []
-    for (x1, y1), (x2, y2) in _edges(vertices):
-        length = math.hypot(x2 - x1, y2 - y1)
-        nx, ny = (y1 - y2) / length, (x2 - x1) / length
-        slope, height = nx * dx + ny * dy, nx * (x - x1) + ny * (y - y1)
-        level = slope == 0
-        divisor = xp.where(level, 1.0, slope)
-        sides = (depth, -depth) if depth else (0.0,)
-        found += [xp.where(level, 0.0, (side - height) / divisor) for side in sides]
-        if depth:
-            found += _circle_cuts((x - x1, y - y1), (dx, dy), depth)
-    return found
+    for side in (depth, -depth) if depth else (0.0,):
+        share = (side - height) / divisor
+        along = (ny * (x + share * dx - x1) - nx * (y + share * dy - y1)) / length
+        beside = (slope != 0) & (along > -BEYOND) & (along < 1.0 + BEYOND)
+        found.append(xp.where(beside, share, 0.0))
+    if depth:
+        found += _circle_cuts((x - x1, y - y1), (dx, dy), depth)
+    share = xp.concatenate(found)
+    share = xp.sort(xp.where((share > 0.0) & (share < 1.0), share, 0.0), axis=0)
+    if isinstance(share, np.ndarray):
+        return share[share.reshape(len(share), -1).any(axis=1)]
+    return share
 
 
 def deepest(vertices: np.ndarray) -> float:
@@ -116,10 +170,14 @@ def deepest(vertices: np.ndarray) -> float:
     axes = [low[k] + half * (2 * np.arange(count[k]) + 1) for k in range(2)]
     middles = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     corners, best = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)]), 0.0
+
+    def depths(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return how deep points [M] are, below 0 outside."""
+        to_edge = np.sqrt(square_to_edge(vertices, x, y))
+        return np.where(encloses(vertices, x, y), to_edge, -to_edge)
+
     while len(middles):
-        x, y = middles.T
-        depth = np.sqrt(square_to_edge(vertices, x, y))
-        depth = np.where(encloses(vertices, x, y), depth, -depth)
+        depth = blockwise(depths, list(middles.T), len(vertices))
         best = max(best, float(depth.max()))
         middles = middles[depth + math.sqrt(2.0) * half > best * (1.0 + PRECISION)]
         half /= 2
@@ -154,6 +212,15 @@ def cut_off(vertices: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarr
     return np.array(kept).reshape(-1, 2)
 
 
+def _squares_to_edges(vertices: np.ndarray, x: Any, y: Any) -> Any:
+    """Return the square of the distance [V, ...] of points [...] to each edge."""
+    xp = x.__array_namespace__()
+    (x1, y1), (x2, y2) = _edges(vertices, np.ndim(x))
+    dx, dy = x2 - x1, y2 - y1
+    share = xp.clip(((x - x1) * dx + (y - y1) * dy) / (dx**2 + dy**2), 0.0, 1.0)
+    return (x - x1 - share * dx) ** 2 + (y - y1 - share * dy) ** 2
+
+
 def _circle_cuts(start: Any, step: Any, radius: float) -> list[Any]:
     """Return the two u [...] where start + u * step is at a distance from the origin, else 0."""
     (x, y), (dx, dy) = start, step
@@ -167,45 +234,45 @@ def _circle_cuts(start: Any, step: Any, radius: float) -> list[Any]:
 
 def _check_simple(corners: np.ndarray) -> None:
     """Raise ValueError where two edges meet elsewhere than in the vertex that they share."""
-    num = len(corners)
-    for i, j in itertools.combinations(range(num), 2):
-        a, b, c, d = corners[i], corners[i + 1], corners[j], corners[(j + 1) % num]
-        if j == i + 1:
-            meet = _folds_back(b, a, d)
-        elif (j + 1) % num == i:
-            meet = _folds_back(a, b, c)
-        else:
-            meet = _meet(a, b, c, d)
-        if meet:
+    others = np.roll(corners, -1, axis=0)
+    for i in range(len(corners) - 1):
+        a, b, c, d = corners[i], others[i], corners[i + 1 :], others[i + 1 :]
+        meet = _meet(a, b, c, d)
+        meet[0] = _folds_back(b, a, d[0])
+        if i == 0:
+            meet[-1] = _folds_back(a, b, c[-1])
+        if meet.any():
+            k = int(meet.argmax())
             raise ValueError(
-                f"Polygon: edge {i}, from {a.tolist()} to {b.tolist()}, meets edge {j}, from "
-                f"{c.tolist()} to {d.tolist()}: give the vertices in order, so that it does not "
-                "cross itself"
+                f"Polygon: edge {i}, from {a.tolist()} to {b.tolist()}, meets edge {i + 1 + k}, "
+                f"from {c[k].tolist()} to {d[k].tolist()}: give the vertices in order, so that it "
+                "does not cross itself"
             )
 
 
 def _folds_back(shared: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
     """Return whether two edges leave the vertex that they share in the same direction."""
-    return _turn(shared, one, other) == 0 and float((one - shared) @ (other - shared)) > 0
+    return bool(_turn(shared, one, other) == 0) and float((one - shared) @ (other - shared)) > 0
 
 
-def _meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """Return whether the segments from a to b and from c to d have a point in common."""
-    sides = [_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b)]
-    if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
-        return True
+def _meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return [M] whether the segment from a to b [2] has a point in common with c to d [M, 2]."""
     ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    return any(
-        side == 0 and bool((np.minimum(p, q) <= r).all() and (r <= np.maximum(p, q)).all())
-        for side, (p, q, r) in zip(sides, ends, strict=True)
-    )
+    sides = [_turn(p, q, r) for p, q, r in ends]
+    meet = (sides[0] * sides[1] < 0) & (sides[2] * sides[3] < 0)
+    for side, (p, q, r) in zip(sides, ends, strict=True):
+        within = (np.minimum(p, q) <= r) & (r <= np.maximum(p, q))
+        meet |= (side == 0) & within.all(axis=-1)
+    return meet
 
 
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Return twice the area of the triangle a, b, c, above 0 where it turns left."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return [...] twice the area of triangles a, b, c [..., 2], above 0 where they turn left."""
+    (ux, uy), (vx, vy) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
+    return ux * vy - uy * vx
 
 
-def _edges(vertices: np.ndarray) -> list[tuple[list[float], list[float]]]:
-    corners = vertices.tolist()
-    return list(zip(corners, [*corners[1:], corners[0]], strict=True))
+def _edges(vertices: np.ndarray, num_dims: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return where edges begin and end, [2, V, ...] with a 1 for each of the points' dimensions."""
+    begin = vertices.T.reshape(2, -1, *[1] * num_dims)
+    return begin, np.roll(begin, -1, axis=1)

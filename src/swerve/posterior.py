@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swerve import likelihood
-from swerve.arguments import number
+from swerve.arguments import number_or_nan
 
 if TYPE_CHECKING:
     from swerve.inference import Inference
@@ -159,7 +159,7 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
     Raises:
       ValueError: if `least` is not between 0 and 1.
     """
-    least = number(least, "credible_set", "a probability between 0 and 1")
+    least = number_or_nan(least)
     if not 0.0 < least < 1.0:
         raise ValueError(f"credible_set: expected a probability between 0 and 1, got {least}")
     probabilities = np.concatenate([[found.none], found.hypotheses])

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 import swerve
 from swerve import plots, store, wording
 from swerve.boxes import interval_name
-from swerve.hypotheses import GridHypotheses
+from swerve.grids import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
 from swerve.trust import is_untrusted
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swerve import likelihood, posterior
-from swerve.arguments import instance, number, positive_number, whole_number
+from swerve.arguments import instance, number_or_nan, positive_number, whole_number
 from swerve.coverage import Coverage, coverage
 from swerve.estimators import LogRatio
 from swerve.inference import Inference
@@ -93,7 +93,7 @@ def greedy(
     """
     instance(inference, Inference, "inference", "make one with swerve.infer")
     expected = "a number >= 0 (nats a demonstration)"
-    if not 0.0 <= number(threshold, "threshold", expected) < math.inf:
+    if not 0.0 <= number_or_nan(threshold) < math.inf:
         raise ValueError(f"threshold: expected {expected}, got {threshold}")
     log_prior_odds = 0.0 if odds is None else math.log(positive_number(odds, "odds"))
     most = None if most is None else whole_number(most, "most", 1)

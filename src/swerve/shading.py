@@ -28,7 +28,8 @@ from matplotlib.patheffects import Normal, Stroke
 from swerve import plane as planes
 from swerve import wording
 from swerve.figures import INK
-from swerve.hypotheses import GridHypotheses, HypothesisSet
+from swerve.grids import GridHypotheses
+from swerve.hypotheses import HypothesisSet
 from swerve.plane import Plane
 from swerve.sliding import WindowHypotheses
 from swerve.state_action import StateAction

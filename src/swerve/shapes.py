@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from swerve import polygons
+from swerve.arguments import number_or_nan, two_names
 from swerve.boxes import call, short
 from swerve.constraints import Constraint
 from swerve.space import TWO_PI, StateSpace
@@ -41,9 +42,12 @@ class Ball(Constraint):
     """
 
     def __init__(self, radius: float, /, **centre: float) -> None:
-        self.radius = float(radius)
+        self.radius = number_or_nan(radius)
         if not (math.isfinite(self.radius) and self.radius > 0.0):
-            raise ValueError(f"Ball: expected a finite radius > 0, got {radius}")
+            raise ValueError(
+                f"Ball: expected a finite radius > 0, got {radius!r}: give it first, in the unit "
+                "of the states, as in Ball(0.5, x=1.0, y=2.0)"
+            )
         self.centre = _checked_axes("Ball", "a centre, as in Ball(0.5, x=1.0, y=2.0)", centre)
 
     def __repr__(self) -> str:
@@ -93,8 +97,15 @@ class Ball(Constraint):
         to_centre = np.linalg.norm(self._offsets(np.asarray(states, float), space), axis=0)
         return np.maximum(0.0, to_centre - self.radius)
 
-    def eroded(self, margin: Mapping[str, float]) -> Ball:
-        """Return the ball whose radius is less by the largest margin of the states it names."""
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Ball:
+        """Return the ball whose radius is less by the largest margin of the states it names.
+
+        One that names angles alone and reaches round all of them has no edge: it stays as it is.
+        """
+        if set(self.centre) <= set(space.angles) and self.radius > math.pi * math.sqrt(
+            len(self.centre)
+        ):
+            return self
         name = max(self.centre, key=lambda name: margin.get(name, 0.0))
         width = margin.get(name, 0.0)
         if not width < self.radius:
@@ -125,19 +136,27 @@ class HalfSpace(Constraint):
 
     Args:
       offset: what the sum must reach.
-      **normal: for each named state its factor n_i; no angles, which have no sides.
+      **normal: for each named state its factor n_i; no angles, which have no sides. A factor of 0
+        leaves its state free, as if it were not named.
 
     Raises:
       ValueError: if no state is named, the normal is zero, or a number is not finite.
     """
 
     def __init__(self, offset: float, /, **normal: float) -> None:
-        self.offset = float(offset)
+        self.offset = number_or_nan(offset)
         if not math.isfinite(self.offset):
-            raise ValueError(f"HalfSpace: expected a finite offset, got {offset}")
-        self.normal = _checked_axes("HalfSpace", "a normal, as in HalfSpace(1.0, x=1.0)", normal)
-        if not any(self.normal.values()):
-            raise ValueError(f"HalfSpace: expected a normal that is not zero, got {self.normal}")
+            raise ValueError(
+                f"HalfSpace: expected a finite offset, got {offset!r}: give it first, as in "
+                "HalfSpace(1.0, x=1.0) for x >= 1"
+            )
+        factors = _checked_axes("HalfSpace", "a normal, as in HalfSpace(1.0, x=1.0)", normal)
+        self.normal = {name: factor for name, factor in factors.items() if factor != 0.0}
+        if not self.normal:
+            raise ValueError(
+                f"HalfSpace: expected a normal that is not zero, got {factors}, which says nothing "
+                "of any state: give at least one of them another factor"
+            )
 
     def __repr__(self) -> str:
         """Return Python that makes this half-space again, to the last digit."""
@@ -179,7 +198,7 @@ class HalfSpace(Constraint):
         missing = self.offset - self._sum(np.asarray(states, float), space)
         return np.maximum(0.0, missing) / math.hypot(*self.normal.values())
 
-    def eroded(self, margin: Mapping[str, float]) -> HalfSpace:
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> HalfSpace:
         """Return the half-space offset by the sum of |n_i| times the margins."""
         widths = (abs(factor) * margin.get(name, 0.0) for name, factor in self.normal.items())
         return HalfSpace(self.offset + sum(widths), **self.normal)
@@ -211,18 +230,18 @@ class Polygon(Constraint):
     def __init__(
         self, vertices: Any, names: Sequence[str] = ("x", "y"), depth: float = 0.0
     ) -> None:
-        self.names = tuple(names)
-        if isinstance(names, str) or len(set(self.names)) != 2 or len(self.names) != 2:
-            raise ValueError(f"Polygon: expected the names of two states, got {names!r}")
+        self.names = two_names(names, "Polygon: names")
         self.vertices = polygons.checked_vertices(vertices)
-        self.depth = float(depth)
+        self.depth = number_or_nan(depth)
         if not 0.0 <= self.depth < math.inf:
-            raise ValueError(f"Polygon: expected a finite depth >= 0, got {depth}")
+            raise ValueError(f"Polygon: expected a finite depth >= 0, got {depth!r}")
         if self.depth and not self.depth < polygons.deepest(self.vertices):
             raise ValueError(
                 f"Polygon: a depth of {self.depth:g} leaves nothing: expected less than "
                 f"{polygons.deepest(self.vertices):.3g}"
             )
+        low, high = self.vertices.min(axis=0) + self.depth, self.vertices.max(axis=0) - self.depth
+        self._limits = np.stack([low, high], axis=1).tolist()
 
     def __repr__(self) -> str:
         """Return Python that makes this polygon again, to the last digit."""
@@ -256,7 +275,8 @@ class Polygon(Constraint):
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] is inside, deeper than `depth`."""
         x, y = self._points(states, space)
-        return self._holds(x, y)
+        near = self._is_near((x, x), (y, y))
+        return polygons.where_near(self._holds, near, (x, y), len(self.vertices))
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where the segment meets the polygon.
@@ -266,16 +286,9 @@ class Polygon(Constraint):
         """
         xp = starts.__array_namespace__()
         (x, y), (end_x, end_y) = self._points(starts, space), self._points(ends, space)
-        dx, dy = end_x - x, end_y - y
-        cuts = polygons.cuts(self.vertices, self.depth, (x, y), (dx, dy))
-        share = xp.sort(xp.clip(xp.stack(cuts, axis=-1), 0.0, 1.0), axis=-1)
-        bounds = [xp.zeros_like(share[..., :1]), share, xp.ones_like(share[..., :1])]
-        share = xp.concatenate(bounds, axis=-1)
-        middle = 0.5 * (share[..., 1:] + share[..., :-1])
-        points = [a[..., None] + middle * d[..., None] for a, d in ((x, dx), (y, dy))]
-        hit = self.contains(starts, space) | self.contains(ends, space)
-        is_piece = share[..., 1:] > share[..., :-1]  # a corner that is touched is none
-        return hit | (is_piece & self._holds(*points)).any(axis=-1)
+        spans = [(xp.minimum(a, b), xp.maximum(a, b)) for a, b in ((x, end_x), (y, end_y))]
+        near = self._is_near(*spans)
+        return polygons.where_near(self._meets, near, (x, y, end_x, end_y), len(self.vertices))
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n] over its two states.
@@ -286,10 +299,15 @@ class Polygon(Constraint):
         if self.depth:
             raise ValueError(f"{self.name}: expected a Polygon without depth to tell distances to")
         x, y = self._points(np.asarray(states, float), space)
-        square = polygons.square_to_edge(self.vertices, x, y)
-        return np.where(self._holds(x, y), 0.0, np.sqrt(square))
 
-    def eroded(self, margin: Mapping[str, float]) -> Polygon:
+        def outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            square = polygons.square_to_edge(self.vertices, x, y)
+            return np.where(self._holds(x, y), 0.0, np.sqrt(square))
+
+        flat = [np.reshape(value, -1) for value in (x, y)]
+        return polygons.blockwise(outside, flat, len(self.vertices)).reshape(np.shape(x))
+
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Polygon:
         """Return what is farther from every edge than the largest margin of its two states."""
         name = max(self.names, key=lambda name: margin.get(name, 0.0))
         width = margin.get(name, 0.0)
@@ -310,10 +328,33 @@ class Polygon(Constraint):
         first, second = (states[..., space.column(name)] for name in self.names)
         return first, second
 
+    def _is_near(self, x: tuple[Any, Any], y: tuple[Any, Any]) -> Any:
+        """Return [...] whether (least, greatest) x and y reach the rectangle that it fills."""
+        (low_x, high_x), (low_y, high_y) = self._limits
+        in_x = (x[1] >= low_x) & (x[0] <= high_x)
+        return in_x & (y[1] >= low_y) & (y[0] <= high_y)
+
+    def _meets(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] whether segments have a point inside, both ends included."""
+        hit = self._holds(x, y) | self._holds(end_x, end_y)
+        points = (x, y, end_x, end_y)
+        return hit | polygons.where_near(self._passes, ~hit, points, len(self.vertices))
+
+    def _passes(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] whether segments have a part inside, their ends not."""
+        xp = x.__array_namespace__()
+        dx, dy = end_x - x, end_y - y
+        share = polygons.cuts(self.vertices, self.depth, (x, y), (dx, dy))
+        bounds = xp.zeros_like(x)[None], share, xp.ones_like(x)[None]
+        share = xp.concatenate(bounds)
+        middle = 0.5 * (share[1:] + share[:-1])
+        is_piece = share[1:] > share[:-1]  # a corner that is touched is none
+        return (is_piece & self._holds(x + middle * dx, y + middle * dy)).any(axis=0)
+
     def _holds(self, x: Any, y: Any) -> Any:
         inside = polygons.encloses(self.vertices, x, y)
         if self.depth:
-            inside = inside & (polygons.square_to_edge(self.vertices, x, y) > self.depth**2)
+            inside = inside & polygons.is_farther(self.vertices, self.depth, x, y)
         return inside
 
 
@@ -321,10 +362,11 @@ def _checked_axes(kind: str, expected: str, values: Mapping[str, float]) -> dict
     """Return finite numbers by state."""
     if not values:
         raise ValueError(f"{kind}: expected {expected}, got none")
-    for name, value in values.items():
+    checked = {name: number_or_nan(value) for name, value in values.items()}
+    for name, value in checked.items():
         if not math.isfinite(value):
-            raise ValueError(f"{kind}: expected a finite number for {name!r}, got {value}")
-    return {name: float(value) for name, value in values.items()}
+            raise ValueError(f"{kind}: expected a finite number for {name!r}, got {values[name]!r}")
+    return checked
 
 
 def _check_no_angles(kind: str, names: Sequence[str] | Mapping[str, float], space: Any) -> None:

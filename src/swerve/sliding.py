@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 
 from swerve.arguments import whole_number
-from swerve.boxes import Box
-from swerve.hypotheses import GridHypotheses, HypothesisSet, distance_to_boxes, unpack
+from swerve.grids import BoxHypotheses, GridHypotheses, checked_range
+from swerve.hypotheses import unpack
 from swerve.space import TWO_PI, Actions, StateSpace
 
 AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
 ROUNDING = 1e-9  # of a stride
 
 
-class WindowHypotheses(HypothesisSet):
+class WindowHypotheses(BoxHypotheses):
     """Overlapping windows along some of the states; made by `windows`.
 
     The last named state varies fastest. A window lies within [low, high] of every axis; where
@@ -53,14 +53,6 @@ class WindowHypotheses(HypothesisSet):
             for count, goes_round in zip(self._cells.shape, self._goes_round, strict=True)
         )
 
-    def __len__(self) -> int:
-        return math.prod(self.shape)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """The names of the axes."""
-        return tuple(self.axes)
-
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
         """Raise ValueError where an axis is no state, or goes round and is no angle."""
         self._cells.check(space, action_names)
@@ -81,22 +73,6 @@ class WindowHypotheses(HypothesisSet):
             first = np.arange(num)
             ends[name] = (low + first * stride, low + (first + self.overlap) * stride)
         return ends
-
-    def constraint(self, index: int) -> Box:
-        """Return a window as a box."""
-        if not 0 <= index < len(self):
-            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
-        place = np.unravel_index(index, self.shape)
-        return Box(
-            **{
-                name: (float(low[k]), float(high[k]))
-                for k, (name, (low, high)) in zip(place, self.edges().items(), strict=True)
-            }
-        )
-
-    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
-        """Return the distance [..., H] from states [..., n] to each window."""
-        return distance_to_boxes(states, space, self.edges())
 
     def violations(
         self,
@@ -172,14 +148,10 @@ def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypot
 
 
 def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, float]:
-    if len(axis) != 3:
-        raise ValueError(f"windows: expected {name}=(low, high, width), got {axis!r}")
-    low, high, width = (float(value) for value in axis)
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ValueError(f"windows: expected finite low < high for {name!r}, got ({low}, {high})")
+    low, high, width = checked_range("windows", name, axis, "width")
     if not 0.0 < width <= (high - low) * (1.0 + ROUNDING):
         raise ValueError(
             f"windows: expected a width above 0 and at most {high - low:g}, the range of {name!r}, "
-            f"got {width}"
+            f"got {axis[2]!r}"
         )
     return low, high, width

@@ -120,6 +120,11 @@ def nearest(values: Any, table: Any) -> Any:
     return ((values[..., None, :] - xp.asarray(table)) ** 2).sum(axis=-1).argmin(axis=-1)
 
 
+def is_full_turn(low: float, high: float) -> bool:
+    """Return whether an interval of an angle goes all the way round, and so has no ends."""
+    return high - low > TWO_PI * (1 - 1e-9)
+
+
 @dataclass(frozen=True, eq=False)
 class StateSpace:
     """Names, angles and bounds of the states of an MDP.

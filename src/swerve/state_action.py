@@ -78,9 +78,9 @@ class StateAction(Constraint):
         """Return the distance [...] of states [..., n] to those where the actions are forbidden."""
         return self.states.distance(states, space)
 
-    def eroded(self, margin: Mapping[str, float]) -> StateAction:
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> StateAction:
         """Return the same actions, forbidden in its states less the margin."""
-        return StateAction(self.states.eroded(margin), self.actions)
+        return StateAction(self.states.eroded(margin, space), self.actions)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""

@@ -15,7 +15,8 @@ import numpy as np
 
 from swerve.constraints import violates
 from swerve.grid_axis import GridAxis
-from swerve.hypotheses import GridHypotheses, HypothesisSet, unpack
+from swerve.grids import GridHypotheses
+from swerve.hypotheses import HypothesisSet, unpack
 from swerve.space import TWO_PI, StateSpace
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from swerve import trust
 from swerve.evidence import Evidence
-from swerve.hypotheses import GridHypotheses
+from swerve.grids import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
 
 NUM_NAMED = 6  # hypotheses tied with the first that are named

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from swerve.hypotheses import grid
+from swerve.grids import grid
 from swerve.mdp import MDP, rk4
 from swerve.problem import Problem
 from swerve.space import TWO_PI, Task

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from swerve.hypotheses import grid
+from swerve.grids import grid
 from swerve.mdp import MDP, rk4
 from swerve.problem import Problem
 from swerve.space import TWO_PI, Task
