@@ -95,7 +95,9 @@ def make_foresight(evidence: Evidence) -> Foresight:
         for before, outputs in itertools.pairwise(sizes)
     ]
     biases = [np.zeros(len(weight), np.float32) for weight in weights]
-    return Foresight(record.fingerprint, inputs, goals, tuple(weights), tuple(biases))
+    return Foresight(
+        record.fingerprint, evidence.digest, inputs, goals, tuple(weights), tuple(biases)
+    )
 
 
 def path(num_states: int, seed: int = 1) -> np.ndarray:

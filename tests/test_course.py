@@ -11,9 +11,9 @@ from matplotlib.image import imread
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 from synthetic import make_demonstration, make_evidence
-from test_monitor import make_monitor
+from test_monitor import Known, make_monitor
 
-from swerve import Course, Demonstration, animate_course, follow, infer, plot_course
+from swerve import Course, Demonstration, Monitor, animate_course, follow, infer, plot_course
 
 
 def moving(num_states: int = 30) -> Demonstration:
@@ -49,6 +49,14 @@ def test_is_what_the_monitor_says_and_ends_where_infer_ends(course: Course) -> N
 def test_times_are_the_models_steps_where_none_are_known() -> None:
     course = follow(make_monitor(), make_demonstration(0))
     np.testing.assert_allclose(course.times, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4])
+
+
+def test_a_monitor_that_has_seen_states_is_refused() -> None:
+    evidence = make_evidence()
+    monitor = Monitor(evidence, moving().task, Known(evidence))
+    follow(monitor, moving())
+    with pytest.raises(ValueError, match="monitor: expected one that has seen no state yet"):
+        follow(monitor, moving())
 
 
 class TestPicture:

@@ -6,11 +6,18 @@ import dataclasses
 
 import numpy as np
 import pytest
-from synthetic import TASKS, make_demonstration, make_evidence, make_record
+from synthetic import (
+    TASKS,
+    evidence_of_columns,
+    make_demonstration,
+    make_evidence,
+    make_record,
+)
 
 from swerve.demonstrations import Demonstration
 from swerve.diagnosis import doubts
 from swerve.evidence import Evidence
+from swerve.grids import grid
 from swerve.inference import infer
 from swerve.space import Task
 from swerve.trust import some_names
@@ -135,8 +142,40 @@ def test_degrees_are_noticed_by_their_speed(evidence: Evidence) -> None:
 
 def test_single_fast_steps_are_noise(evidence: Evidence) -> None:
     item = straight(TASKS.goal[1], num_states=200)
-    item.states[100, 1] += 1.0
+    item.states[100, 1] += 0.09  # of an extent of 10
     assert "speed" not in doubts(item, evidence, 1)
+
+
+@pytest.mark.parametrize("is_timed", [True, False])
+def test_a_jump_is_a_glitch(evidence: Evidence, is_timed: bool) -> None:
+    item = straight(TASKS.goal[1], num_states=200)
+    item.states[100:, 1] += 1.0
+    if not is_timed:
+        item = dataclasses.replace(item, times=None)
+    text = doubts(item, evidence, 1)["speed"]
+    assert text.startswith("jumps by ")
+    assert " in x from row 100 to row 101, in 0.002" in text
+
+
+def test_the_same_demonstration_twice() -> None:
+    evidence = make_evidence()
+    items = [make_demonstration(1, "a"), make_demonstration(1, "b"), make_demonstration(2, "c")]
+    [warning] = infer(evidence, items).warnings
+    assert warning == "a is there 2 times (as a, b): each counts as evidence of its own"
+    assert not infer(evidence, items[1:]).warnings
+
+
+def test_a_margin_that_speaks_for_the_first() -> None:
+    columns = np.random.default_rng(0).random((3, 1000, 3)) < [0.01, 0.9, 0.01]
+    cells = grid(x=(0.0, 9.0, 3))
+    evidence = evidence_of_columns(columns, cells)
+    items = [make_demonstration(2, "clear"), make_demonstration(2, "grazing", x=5.9)]
+    assert infer(evidence, items).struck_out[1]
+    [warning] = infer(evidence, items, margin={"x": 0.2}).warnings
+    assert warning.startswith(
+        "1 of 2 demonstrations (grazing) enter hypothesis 1 no deeper than the margin"
+    )
+    assert not infer(evidence, items[:1], margin={"x": 0.2}).warnings
 
 
 def test_coarse_sampling_is_named_where_segments_count(evidence: Evidence) -> None:

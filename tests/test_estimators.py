@@ -18,6 +18,7 @@ from swerve.estimators import (
     log_partition,
     log_weights,
     normalise,
+    parts,
 )
 from swerve.hypotheses import unpack
 
@@ -431,3 +432,21 @@ class TestHoeffding:
             ValueError, match=f"error: expected a number between 0 and 1, got {error}"
         ):
             hoeffding_sample_size(error)
+
+
+def test_parts_tell_the_rarest_avoiding_apart_from_rounding() -> None:
+    log_weight = np.concatenate([np.zeros(999), [-45.0]])
+    violations = np.zeros((1000, 3), bool)
+    violations[:999, 0] = True  # only the last, of a weight of 3e-20, avoids
+    violations[:, 1] = True
+    group = np.arange(1000) % 10
+    bits = np.packbits(violations, axis=1, bitorder="little")
+    found = parts(log_weight, bits, 3, group)
+    whole = avoid_probability(log_weight, bits, 3).avoid_probability
+    np.testing.assert_allclose(found.avoided.sum(axis=0), whole, rtol=1e-12)
+    assert 0.0 < found.avoided[9, 0] < 1e-19
+    without = found.avoid_without()
+    assert without[9, 0] == 0.0  # without the group that it is of
+    assert (without[:9, 0] > 0.0).all()
+    assert (without[:, 1] == 0.0).all()
+    np.testing.assert_allclose(without[:, 2], 1.0)

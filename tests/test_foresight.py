@@ -112,6 +112,28 @@ def test_starts_are_what_the_evidence_knows(pendulum) -> None:
     assert np.abs(np.exp(found) - np.exp(evidence.log_ratio[0])).max() < 0.03
 
 
+def test_starts_are_learned_from_the_evidence(pendulum) -> None:
+    """Not from rollouts alone: those of half the ratios that the evidence claims are outvoted."""
+    nominal, evidence, _ = pendulum
+    halved = evidence.log_ratio - np.log(2.0)
+    summary = evidence.summary._replace(
+        log_ratio=halved, log_ratio_error=np.full(halved.shape, 0.01)
+    )
+    claimed = dataclasses.replace(evidence, summary=summary)
+    foresight = swerve.foresee(nominal, claimed, num_trajectories=500, num_updates=1500)
+    found = foresight.log_avoid(PENDULUM_TASK.start, np.asarray(0), PENDULUM_TASK.goal)
+    assert np.abs(found - halved[0]).mean() < 0.25 * np.log(2.0)
+    assert foresight.learned_from == claimed.digest != evidence.digest
+
+
+def test_rollouts_from_inside_a_known_constraint_are_numbers() -> None:
+    problem = dataclasses.replace(short_pendulum(), known=[swerve.Box(theta=(2.0, 4.5))])
+    nominal = swerve.learn(problem, "grid?num_points=30")
+    ahead = swerve.Rollouts(nominal, 50).towards(PENDULUM_TASK.goal)
+    assert np.isfinite(ahead(np.array([3.2, 0.0]), 1)).all()
+    assert np.isfinite(ahead(np.array([1.0, 0.0]), 1)).all()
+
+
 def test_one_state_at_a_time_is_as_many(pendulum) -> None:
     _, _, foresight = pendulum
     ahead = foresight.towards(PENDULUM_TASK.goal)

@@ -263,6 +263,20 @@ class TestAverageScore:
         assert np.isneginf(result.score[~left]).all()
         np.testing.assert_array_equal(result.ranking, np.argsort(-result.score)[: left.sum()])
 
+    def test_tasks_that_say_nothing_of_a_hypothesis_have_no_share(self) -> None:
+        evidence = make_evidence(
+            make_record(hypotheses=CELLS), make_samples(200, num_hypotheses=10), method="plain"
+        )
+        demonstrations = [make_demonstration(k, f"d{n}") for n, k in enumerate([0, 2, 2])]
+        result = infer(evidence, demonstrations, score="average", clearance=0.5)
+        alone = result.is_counted[0] & ~result.is_counted[2]
+        assert alone.any()
+        assert not alone.all()
+        violation = evidence.violation_probability[0, alone]
+        np.testing.assert_allclose(result.average_violation[alone], violation)
+        error = np.sqrt(violation * (1.0 - violation) / 200)
+        np.testing.assert_allclose(result.score_error[alone], error, atol=1e-12)
+
     def test_can_rank_otherwise_than_the_likelihood(self) -> None:
         """Once nearly always: few nats by the average, many by the likelihood."""
         columns = np.zeros((2, 1000, 10), bool)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,9 +87,9 @@ class TestTolerance:
         )
         np.testing.assert_allclose(tolerant.posterior.none, strict.posterior.none, atol=1e-6)
 
-    @pytest.mark.parametrize("tolerance", [1.0, -0.1, math.nan, 0.51])
-    def test_out_of_range(self, tolerance: float) -> None:
-        with pytest.raises(ValueError, match=f"from 0 to 0.5, got {tolerance}"):
+    @pytest.mark.parametrize("tolerance", [1.0, -0.1, math.nan, 0.51, "a", None])
+    def test_out_of_range(self, tolerance: Any) -> None:
+        with pytest.raises(ValueError, match=f"from 0 to 0.5, got {tolerance!r}"):
             infer(sampled(), [make_demonstration(0)], tolerance=tolerance)
 
     def test_none_of_these_and_the_tolerance_that_would_change_it(self) -> None:
@@ -107,10 +108,10 @@ class TestTolerance:
         below = infer(evidence, [*good, wanderer], tolerance=0.5 * least).posterior
         assert below.hypotheses.max() < below.none
         [warning] = [text for text in result.warnings if "no hypothesis is left" in text]
-        assert f"with a tolerance of {least:.2g} or more one would be more probable" in warning
+        assert f"; with a tolerance of {least:.2g} or more, some demonstrations" in warning
         alone = infer(evidence, [wanderer])
         assert alone.least_tolerance is None
-        assert "No tolerance makes any of them more probable" in alone.warnings[0]
+        assert "no tolerance makes any of them more probable" in alone.warnings[0]
 
 
 class TestClearance:
@@ -132,8 +133,8 @@ class TestClearance:
     def test_none_counts_all(self) -> None:
         assert infer(sampled()).is_counted.all()
 
-    @pytest.mark.parametrize("clearance", [-1.0, math.nan, math.inf])
-    def test_bad_distance(self, clearance: float) -> None:
+    @pytest.mark.parametrize("clearance", [-1.0, math.nan, math.inf, "far", True])
+    def test_bad_distance(self, clearance: Any) -> None:
         with pytest.raises(ValueError, match="clearance: expected a distance >= 0"):
             infer(sampled(), clearance=clearance)
 
@@ -141,10 +142,19 @@ class TestClearance:
 class TestMargin:
     def test_noise_at_the_edge_does_not_strike_out(self) -> None:
         evidence = sampled()
-        grazing = make_demonstration(0, "grazing", x=2.1)
+        grazing = make_demonstration(2, "grazing", x=2.1)
         assert infer(evidence, [grazing]).struck_out[1]
         assert not infer(evidence, [grazing], margin={"x": 0.2}).struck_out[1]
-        deep = make_demonstration(0, "deep", x=3.0)
+        deep = make_demonstration(2, "deep", x=3.0)
         assert infer(evidence, [deep], margin={"x": 0.2}).struck_out[1]
         added = infer(evidence, margin={"x": 0.2}).add(grazing)
         assert not added.struck_out[1]
+
+    def test_what_an_end_of_the_task_grazes_is_left_out_for_it(self) -> None:
+        evidence = sampled()  # tasks 0 and 1 end at x = 2.0, in cell 1: [2, 4)
+        grazing, deep = make_demonstration(0, "grazing"), make_demonstration(0, "deep", x=3.0)
+        for margin, counts in ((None, True), ({"x": 0.2}, False), ({"theta": 0.2}, True)):
+            result = infer(evidence, [grazing, deep], margin=margin)
+            assert result.is_counted[:, 1].tolist() == [counts, counts, True]
+            assert result.struck_out[1] == counts
+        assert infer(evidence, margin={"x": 0.2}).is_counted[:, [0, 2, 3]].all()

@@ -105,7 +105,7 @@ def evidence_from(task: Task, log_avoid: np.ndarray, evidence: Evidence) -> Evid
     return dataclasses.replace(made, summary=known)
 
 
-@pytest.mark.parametrize("options", [item for item in OPTIONS if "clearance" not in item])
+@pytest.mark.parametrize("options", OPTIONS)
 def test_a_late_start_ends_where_infer_ends_for_a_task_that_starts_there(options) -> None:
     evidence = make_evidence(make_record(hypotheses=CELLS))
     foresight, num_steps = Known(evidence), evidence.problem.num_steps

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,6 +81,9 @@ class TestPrior:
             (np.ones(3) / 3, "expected 5 probabilities, that of no constraint first"),
             (np.array([0.5, 0.5, 0.5, -0.5, 0.0]), "expected probabilities >= 0, got -0.5 at 3"),
             (np.array([0.5, np.nan, 0.5, 0.0, 0.0]), "expected probabilities >= 0, got nan at 1"),
+            ("a", r"expected P\(no constraint\), or 5 probabilities, that of no .* first, got 'a'"),
+            (True, r"expected P\(no constraint\), or 5 probabilities"),
+            ({"none": 0.5}, r"expected P\(no constraint\), or 5 probabilities"),
             (
                 np.full(5, 0.3),
                 "expected probabilities that sum to 1, got a sum of 1.5: divide them by it",
@@ -105,8 +110,8 @@ class TestCredibleSet:
         certain = Posterior(1.0, 0.0, np.zeros(4), np.zeros(4))
         assert credible_set(certain, 0.999999) == (True, pytest.approx([]), 1.0)
 
-    @pytest.mark.parametrize("least", [0.0, 1.0, -1.0, math.nan])
-    def test_bad_probability(self, least: float) -> None:
+    @pytest.mark.parametrize("least", [0.0, 1.0, -1.0, math.nan, "a", None])
+    def test_bad_probability(self, least: Any) -> None:
         with pytest.raises(ValueError, match="expected a probability between 0 and 1, got"):
             credible_set(self.FOUND, least)
 
@@ -166,6 +171,51 @@ class TestOfInference:
     def test_no_demonstration_enters_anything_and_none_remains_possible(self) -> None:
         result = infer(sampled(0), [make_demonstration(0)])
         assert 0.0 < result.posterior.none < 0.5
+
+    def test_without_demonstrations_it_is_the_prior(self) -> None:
+        result = infer(sampled(0), prior=[0.2, 0.5, 0.0, 0.2, 0.1])
+        assert result.posterior.none == pytest.approx(0.2)
+        assert result.posterior.none_error == 0.0
+        np.testing.assert_array_equal(result.posterior.hypotheses, result.prior[1:])
+        np.testing.assert_array_equal(result.posterior.error, 0.0)
+        assert result.log_bayes_factor == 0.0
+
+    @pytest.mark.filterwarnings("error")
+    def test_a_prior_of_certainty(self) -> None:
+        demonstrations = [make_demonstration(0, "a", x=3.0), make_demonstration(0, "b", x=7.0)]
+        certain = infer(sampled(0), demonstrations, prior=1.0)
+        assert certain.posterior.none == 1.0
+        assert certain.posterior.none_error == 0.0
+        assert certain.log_bayes_factor == -math.inf
+        assert certain.least_tolerance is None
+        struck = int(np.flatnonzero(certain.struck_out)[0])
+        prior = np.zeros(5)
+        prior[1 + struck] = 1.0
+        nothing = infer(sampled(0), demonstrations, prior=prior)
+        assert nothing.is_ruled_out
+        assert not certain.is_ruled_out
+        with pytest.raises(ValueError, match="rule out every hypothesis"):
+            _ = nothing.posterior
+        assert nothing.belief.startswith("Posterior: none of these 4")
+        data = json.loads(json.dumps(nothing.to_json()))
+        assert data["none"]["posterior"] is None
+        assert data["credible_set"] is None
+        assert data["ranking"][0]["posterior"] is None
+
+    def test_one_island_that_holds_all_who_avoid(self) -> None:
+        """Leaving it out leaves less than one trajectory's share, not certainty either way."""
+        columns = np.ones((1, 2_000, 2), bool)
+        columns[0, :100] = False  # of 20 islands, the first
+        evidence = evidence_of_columns(columns, grid(x=(0.0, 9.0, 2)))
+        without = evidence.summary.avoid_without_island[0]
+        assert (without == 0.0).any()
+        assert (without > 0.05).any()
+        result = infer(evidence, [make_demonstration(0)])
+        assert result.struck_out.tolist() == [True, False]
+        # L = 19 without any of the others and 2,000 without that one; P(none) = 1 / (1 + L / 2)
+        with_it, without_it = (1.0 / (1.0 + 0.5 * ratio) for ratio in (19.0, 2000.0))
+        stated = 19.0 / 20.0 * (with_it - without_it)
+        assert result.posterior.none_error == pytest.approx(stated, rel=1e-4)
 
     def test_demonstrations_are_added_one_by_one(self) -> None:
         evidence = sampled(0)

@@ -217,9 +217,10 @@ class TestWords:
     def test_distance_is_that_of_its_states(self) -> None:
         states = np.array([[-5.5, 0.0], [-4.0, 9.0], [-1.0, 0.0], [2.0, -3.0]])
         np.testing.assert_allclose(FAST_LEFT.distance(states, PLANE), [1.5, 0.0, 0.0, 2.0])
-        for constraint in (FAST, Union("both", [LEFT, FAST])):
-            with pytest.raises(ValueError, match=r"action f .*: expected a .* got ActionBox"):
-                constraint.distance(states, PLANE)
+        # no state lies in or near what forbids actions alone
+        assert np.isposinf(FAST.distance(states, PLANE)).all()
+        both = Union("both", [LEFT, FAST])
+        np.testing.assert_array_equal(both.distance(states, PLANE), LEFT.distance(states, PLANE))
 
     def test_needs_code_where_its_states_do(self) -> None:
         assert StateAction(Predicate("p", lambda states: states[..., 0] > 0), FAST).needs_code

@@ -75,6 +75,11 @@ def test_demonstrations_are_watched_side_by_side() -> None:
         ('{"theta": NaN, "x": 1.0}', "expected finite numbers, got theta = nan"),
         ('{"theta": 1.0, "x": 1.0, "t": -1}', "expected seconds since the start"),
         ('{"end": true, "id": "b"}', "id 'b': ended, but no state of it has come"),
+        ('{"end": "false", "theta": 1.0, "x": 1.0}', "true or false as \"end\", got 'false'"),
+        ('{"theta": 1.0, "x": 1.0, "time": 0.1}', "t, id and end, got also 'time': the line is le"),
+        (f'{{"theta": 1{400 * "0"}, "x": 1.0}}', "expected 2 numbers"),
+        (f'{{"theta": 1.0, "x": 1.0, "t": 1{400 * "0"}}}', "expected seconds since the start"),
+        (100_000 * "[", "one JSON object or array a line, got one too deep"),
     ],
 )
 def test_a_bad_line_is_answered_and_the_stream_goes_on(line: str, message: str) -> None:
@@ -84,6 +89,18 @@ def test_a_bad_line_is_answered_and_the_stream_goes_on(line: str, message: str) 
     with pytest.raises(ValueError, match=message):
         raise ValueError(bad["error"])
     assert "error" not in good
+
+
+def test_a_null_id_is_none() -> None:
+    watched = make_watch()
+    assert watched.answer(json.dumps({"theta": START[0], "x": START[1], "id": None}))["id"] == ""
+    assert watched.answer('{"end": true}')["id"] == ""
+
+
+def test_bad_options_are_refused_before_the_first_line() -> None:
+    evidence = make_evidence()
+    with pytest.raises(ValueError, match="tolerance: expected the probability"):
+        Watch(evidence, Known(evidence), NAMED, tolerance=2.0)
 
 
 def test_an_unknown_id_is_refused_where_there_are_several_tasks() -> None:

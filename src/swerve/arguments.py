@@ -31,7 +31,7 @@ def number_or_nan(value: Any) -> float:
     """Return a value as a float, NaN where it is no number, such as text, True or a list."""
     try:
         return math.nan if isinstance(value, str | bool) or np.ndim(value) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return math.nan
 
 

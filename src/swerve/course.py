@@ -47,8 +47,11 @@ def follow(monitor: Monitor, demonstration: Demonstration) -> Course:
       demonstration: of its task.
 
     Raises:
-      ValueError: if a state or a time cannot be taken in, see `Monitor.observe`.
+      ValueError: if the monitor has seen states, or a state or a time cannot be taken in, see
+        `Monitor.observe`.
     """
+    if not monitor.is_new:
+        raise ValueError("monitor: expected one that has seen no state yet: make another")
     times = demonstration.times
     beliefs = [
         monitor.observe(state, None if times is None else float(times[k] - times[0]))

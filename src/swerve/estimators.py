@@ -39,11 +39,11 @@ class Parts(NamedTuple):
 
     Attributes:
       weight: [G] their weights, which sum to 1.
-      entered: [G, H] the weights of those of their trajectories that enter each hypothesis.
+      avoided: [G, H] the weights of those of their trajectories that avoid each hypothesis.
     """
 
     weight: np.ndarray
-    entered: np.ndarray
+    avoided: np.ndarray
 
     def variance(self) -> np.ndarray:
         """Return the sampling variance [H] of Z_c / Z_0 where only groups are independent.
@@ -51,21 +51,20 @@ class Parts(NamedTuple):
         var = G / (G - 1) sum_g (sum_{n in g} w_n (1[n avoids] - p))^2
         """
         num = len(self.weight)
-        deviation = self.entered - self.weight[:, None] * self.entered.sum(axis=0)
+        deviation = self.avoided - self.weight[:, None] * self.avoided.sum(axis=0)
         return num / (num - 1) * (deviation**2).sum(axis=0)
 
     def avoid_without(self) -> np.ndarray:
         """Return Z_c / Z_0 [G, H] as estimated without one group; 0 where no weight is left."""
         left = 1.0 - self.weight[:, None]
-        entered = self.entered.sum(axis=0) - self.entered
-        avoided = np.clip(left - entered, 0.0, None)
+        avoided = np.clip(self.avoided.sum(axis=0) - self.avoided, 0.0, None)
         return np.divide(avoided, left, out=np.zeros_like(avoided), where=left > 0.0)
 
 
 def parts(
     log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, group: np.ndarray
 ) -> Parts:
-    """Return what groups of trajectories weigh, and how much of that enters each hypothesis.
+    """Return what groups of trajectories weigh, and how much of that avoids each hypothesis.
 
     Args:
       log_weight: [N] nats.
@@ -78,10 +77,14 @@ def parts(
     """
     weight = normalise(log_weight)
     members = (group == np.arange(group.max() + 1)[:, None]) * weight
-    entered = np.zeros((len(members), 8 * violations.shape[1]))
+    weight = members.sum(axis=1)
+    avoided = np.repeat(weight[:, None], 8 * violations.shape[1], axis=1)
     for hypotheses, bits in _touched(violations):
-        entered[:, hypotheses] = members @ bits
-    return Parts(members.sum(axis=1), entered[:, :num_hypotheses])
+        entered = members @ bits
+        avoided[:, hypotheses] -= entered
+        rare = entered.sum(axis=0) > 0.5  # to avoid it; a difference would be rounding there
+        avoided[:, hypotheses[rare]] = members @ (1.0 - bits[:, rare])
+    return Parts(weight, avoided[:, :num_hypotheses])
 
 
 LOW_ESS_SHARE = 0.02

@@ -11,6 +11,7 @@ Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, n states, 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -239,6 +240,12 @@ class Evidence:
     @property
     def _weighs_alike(self) -> bool:
         return self.method == "plain" and not self.is_of_other_beta
+
+    @property
+    def digest(self) -> str:
+        """A hash that differs between evidence for different tasks, or with other answers."""
+        parts = (*self.tasks, self.log_ratio)
+        return hashlib.sha256(b"".join(np.asarray(part).tobytes() for part in parts)).hexdigest()
 
     def __repr__(self) -> str:
         """Return what it is of, in one line."""

@@ -28,7 +28,7 @@ from swerve.problem import Problem, ProblemRecord
 from swerve.space import TWO_PI, StateSpace
 
 KIND = "swerve-foresight"
-VERSION = 1
+VERSION = 2
 HARMONICS = 4  # of each state, at which the inputs wave
 SOON = 0.03  # of the horizon: time to go is told apart down to about this
 RUSH = (0.3, 2.0)  # extents a horizon: rates of change beside which others are slow or fast
@@ -144,6 +144,7 @@ class Foresight:
 
     Attributes:
       fingerprint: of the problem that it was learned for.
+      learned_from: the digest of the evidence that it agrees with at starts.
       inputs: what the network sees.
       goals: [G, g] those that it was learned for.
       weights: of each layer [out, in].
@@ -151,6 +152,7 @@ class Foresight:
     """
 
     fingerprint: str
+    learned_from: str
     inputs: Inputs
     goals: np.ndarray
     weights: tuple[np.ndarray, ...]
@@ -198,6 +200,7 @@ class Foresight:
         inputs = self.inputs
         header = {
             "problem": self.fingerprint,
+            "evidence": self.learned_from,
             "space": inputs.space.to_json(),
             "goal_is_state": inputs.goal_is_state,
             "num_steps": inputs.num_steps,
@@ -238,6 +241,7 @@ class Foresight:
             )
             return cls(
                 header["problem"],
+                header["evidence"],
                 inputs,
                 stored.array("goals"),
                 tuple(stored.array(f"weight/{k}") for k in layers),

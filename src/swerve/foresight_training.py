@@ -75,7 +75,8 @@ class Rollouts:
 
         P_0(avoid c from here on) ~ sum_k w_k 1[xi_k avoids c] / sum_k w_k
 
-    One more trajectory that avoids c is added, so that no answer is -inf.
+    One more trajectory that avoids c is added, so that no answer is -inf. Where every one enters a
+    known constraint, as from inside it, all count alike.
 
     Args:
       nominal: of a solver with policies.
@@ -107,7 +108,9 @@ class Rollouts:
             states = np.moveaxis(np.asarray(found.states)[step:], -1, 0)
             bits = record.hypotheses.violations(states, record.space, problem.between_states)
             log_weight = np.asarray(found.log_weight[step], float)
-            weight = np.exp(log_weight - log_weight.max())
+            largest = log_weight.max()
+            is_lost = largest == -np.inf
+            weight = np.ones(num) if is_lost else np.exp(log_weight - largest)
             avoided = weight @ ~unpack(bits, len(record.hypotheses))
             share = weight.sum() / num
             return np.log((avoided + 0.5 * share) / (weight.sum() + share))
@@ -171,6 +174,7 @@ def foresee(
         network = fit.run(num_updates, num_hypotheses, seed, advance)
     return Foresight(
         record.fingerprint,
+        evidence.digest,
         inputs,
         goals,
         tuple(np.asarray(weight) for weight in network.weights),

@@ -180,7 +180,8 @@ class Inference:
         """[K, H] what the demonstrations of each task add to the standard error of `score`."""
         if self.score_name == "likelihood":
             return self.sensitivity * self.evidence.standard_error
-        share = self.task_counts[:, None] / self.task_counts.sum()
+        num = self.task_counts[:, None] * self.is_counted
+        share = num / np.maximum(num.sum(axis=0), 1)
         return np.asarray(share * np.sqrt(self.evidence.summary.avoid_variance))
 
     @cached_property
@@ -211,9 +212,18 @@ class Inference:
             rank[k] = first + 1
         return rank
 
+    @property
+    def is_ruled_out(self) -> bool:
+        """Whether everything that the prior allows is ruled out: there is no posterior then."""
+        return not self.prior[0] and bool((self.struck_out | (self.prior[1:] == 0.0)).all())
+
     @cached_property
     def posterior(self) -> Posterior:
-        """How probable no constraint and each hypothesis are, with their standard errors."""
+        """How probable no constraint and each hypothesis are, with their standard errors.
+
+        Raises:
+          ValueError: if everything that the prior allows is ruled out.
+        """
         return posterior.of_inference(self)
 
     @property
@@ -367,8 +377,8 @@ def infer(
         stray track does not veto the truth; 0 is the paper's.
       margin: for states measured with noise, how deep inside a hypothesis, in the state's unit, a
         demonstration must be to have entered it. Nominal trajectories are judged as they are, so
-        what demonstrations graze seems more probable than it is: as small as the noise, then. What
-        a task starts or ends in is left out for it.
+        what demonstrations graze seems more probable than it is: as small as the noise, then. A
+        hypothesis that an end of a task grazes, lying in it but not as deep, is left out for it.
       clearance: leave a hypothesis out for tasks that start or end within this distance of it, in
         the units of the states that it names: nobody enters it there, constraint or not. Goals
         count where they are states.
@@ -383,17 +393,18 @@ def infer(
     instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
     if score not in SCORES:
         raise ValueError(f"score: expected one of {', '.join(SCORES)}, got {score!r}")
-    hypotheses = evidence.problem.hypotheses
+    problem, hypotheses = evidence.problem, evidence.problem.hypotheses
+    judged = hypotheses if margin is None else hypotheses.eroded(margin, problem.space)
     empty = Inference(
         evidence,
         demonstrations=(),
         task_of=np.zeros(0, int),
         entered=np.zeros((0, len(hypotheses)), bool),
         score_name=score,
-        is_counted=likelihood.is_counted(evidence, clearance, margin),
+        is_counted=likelihood.is_counted(problem, evidence.tasks, clearance, judged),
         tolerance=likelihood.checked_tolerance(tolerance),
         prior=posterior.checked_prior(prior, len(hypotheses)),
-        judged=hypotheses if margin is None else hypotheses.eroded(margin, evidence.problem.space),
+        judged=judged,
     )
     if isinstance(demonstrations, Demonstration):
         raise ValueError(f"expected a list of demonstrations, got {demonstrations.name} alone")

@@ -13,7 +13,6 @@ Shapes: K tasks, D demonstrations, H hypotheses.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,7 +20,9 @@ import numpy as np
 from swerve.arguments import number_or_nan
 
 if TYPE_CHECKING:
-    from swerve.evidence import Evidence
+    from swerve.hypotheses import HypothesisSet
+    from swerve.problem import ProblemRecord
+    from swerve.space import Task
 
 MAX_TOLERANCE = 0.5
 NUM_TOLERANCES = 61  # tried between the least and the largest, evenly in their logs
@@ -86,34 +87,39 @@ def checked_tolerance(tolerance: float) -> float:
 
 
 def is_counted(
-    evidence: Evidence, clearance: float | None, margin: Mapping[str, float] | None
+    problem: ProblemRecord, tasks: Task, clearance: float | None, judged: HypothesisSet
 ) -> np.ndarray:
-    """Return [K, H] whether a hypothesis is not within a distance of the ends of a task.
+    """Return [K, H] whether demonstrations of a task count for or against a hypothesis.
 
-    With a margin those that a task starts or ends in do not count either: every nominal trajectory
-    enters them, and demonstrations that are no deeper inside would seem to obey a miracle.
+    They do not within the clearance of the task's ends; nor, with a margin, where an end lies in
+    the hypothesis but not as deep: nominal trajectories enter there, and demonstrations that come
+    no deeper would seem to obey a miracle.
 
     Args:
-      evidence: with the tasks.
-      clearance: the distance, in the units of the states that a hypothesis names, or None: all
-        count.
-      margin: for measurement noise, or None.
+      problem: with the hypotheses.
+      tasks: K of them; goals have ends where they are states.
+      clearance: the distance, in the units of the states that a hypothesis names, or None.
+      judged: the hypotheses less the margin; those of the problem where there is none.
 
     Raises:
       ValueError: if the distance is negative or no number, or a hypothesis has none.
     """
-    problem, tasks = evidence.problem, evidence.tasks
-    shape = evidence.num_tasks, len(problem.hypotheses)
-    if clearance is None and margin is None:
-        return np.ones(shape, bool)
-    least = 0.0 if clearance is None else number_or_nan(clearance)
-    if not (math.isfinite(least) and least >= 0.0):
-        raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
-    ends = [tasks.start]
-    if problem.goal_names == problem.space.names:
-        ends.append(tasks.goal)
-    nearest = np.min([problem.hypotheses.distance(end, problem.space) for end in ends], axis=0)
-    return nearest > least
+    space, hypotheses = problem.space, problem.hypotheses
+    ends = [np.asarray(tasks.start, float)]
+    if problem.goal_names == space.names:
+        ends.append(np.asarray(tasks.goal, float))
+    counted = np.ones((len(ends[0]), len(hypotheses)), bool)
+    if clearance is not None:
+        if not 0.0 <= number_or_nan(clearance) < math.inf:
+            raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
+        for end in ends:
+            counted &= hypotheses.distance(end, space) > float(clearance)
+    if judged is not hypotheses:
+        for index in range(len(hypotheses)):
+            whole, eroded = hypotheses.constraint(index), judged.constraint(index)
+            for end in ends:
+                counted[:, index] &= ~(whole.contains(end, space) & ~eroded.contains(end, space))
+    return counted
 
 
 def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:

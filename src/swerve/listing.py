@@ -14,6 +14,7 @@ import numpy as np
 from swerve.inference import Inference
 
 if TYPE_CHECKING:
+    from swerve.posterior import Posterior
     from swerve.selection import Pick
 
 
@@ -37,8 +38,12 @@ def table(inference: Inference, num_rows: int) -> str:
 
 
 def to_json(inference: Inference) -> dict[str, Any]:
-    """Return the ranking, best first, the posterior and diagnostics of each task used."""
+    """Return the ranking, best first, the posterior and diagnostics of each task used.
+
+    What belongs to the posterior is null where everything that the prior allows is ruled out.
+    """
     evidence = inference.evidence
+    posterior = None if inference.is_ruled_out else inference.posterior
     tasks = inference.task_of if inference.demonstrations else range(evidence.num_tasks)
     return {
         "headline": inference.headline,
@@ -46,8 +51,8 @@ def to_json(inference: Inference) -> dict[str, Any]:
         "score": inference.score_name,
         "tolerance": inference.tolerance,
         "num_demonstrations": len(inference.demonstrations),
-        "none": _none(inference),
-        "credible_set": _credible_set(inference),
+        "none": _none(inference, posterior),
+        "credible_set": posterior and _credible_set(inference),
         "ranking": [
             {
                 "index": int(index),
@@ -56,8 +61,8 @@ def to_json(inference: Inference) -> dict[str, Any]:
                 "standard_error": float(inference.standard_error[index]),
                 "is_lower_bound": bool(inference.is_lower_bound[index]),
                 "average_violation": float(inference.average_violation[index]),
-                "posterior": float(inference.posterior.hypotheses[index]),
-                "posterior_error": float(inference.posterior.error[index]),
+                "posterior": posterior and float(posterior.hypotheses[index]),
+                "posterior_error": posterior and float(posterior.error[index]),
                 "rank": int(rank),
             }
             for index, rank in zip(inference.ranking, inference.rank, strict=True)
@@ -102,11 +107,11 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _none(inference: Inference) -> dict[str, Any]:
+def _none(inference: Inference, posterior: Posterior | None) -> dict[str, Any]:
     return {
         "prior": float(inference.prior[0]),
-        "posterior": inference.posterior.none,
-        "posterior_error": inference.posterior.none_error,
+        "posterior": posterior and posterior.none,
+        "posterior_error": posterior and posterior.none_error,
         "log_bayes_factor": _finite(inference.log_bayes_factor),
         "least_tolerance": inference.least_tolerance,
     }

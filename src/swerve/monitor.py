@@ -10,6 +10,10 @@ has entered c is ruled out. At its end nothing is left to be avoided, the first 
 answer is that of `infer`. With a tolerance eps it is eps + (1 - eps) L_t(c), or eps once c is
 entered.
 
+Foresight cannot tell probabilities as small as evidence can. Where the two differ widely at the
+start itself, the second term too is foreseen until the end, so that nothing is believed of somebody
+who has not moved.
+
 Shapes: H hypotheses, n state dimensions.
 """
 
@@ -22,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swerve import likelihood
-from swerve.arguments import instance
+from swerve.arguments import instance, number_or_nan
 from swerve.constraints import violates
 from swerve.diagnosis import COARSE, FAST, JITTER, TIME_SLACK
 from swerve.evidence import Evidence
@@ -41,6 +45,8 @@ GAP = "gap"
 OVERTIME = "past the horizon"
 SHORT = "cut short"
 KNOWN = "in a known constraint"
+
+AGREEMENT = 1.0  # nats between evidence and foresight, at the start
 
 
 class Belief(NamedTuple):
@@ -66,7 +72,8 @@ class Belief(NamedTuple):
 class Monitor:
     """Infers which constraint one demonstrator obeys, while the demonstration lasts.
 
-    Its memory does not grow. Several demonstrators take a monitor each.
+    Its memory does not grow. Several demonstrators take a monitor each; arrays that it returns are
+    not to be written to.
 
     Args:
       evidence: what `infer` would rest on.
@@ -104,18 +111,16 @@ class Monitor:
         self._problem = problem
         self._start = np.asarray(evidence.tasks.start[number], float)
         self._ahead = foresight.towards(evidence.tasks.goal[number])
-        self._steps = stepwise(hypotheses, space, problem.between_states, margin)
-        is_counted = likelihood.is_counted(evidence, clearance, margin)[number]
-        self._left_out = None if is_counted.all() else ~is_counted
-        log_ratio = np.where(is_counted, evidence.log_ratio[number], 0.0)
-        self._impossible = np.asarray(evidence.is_exact & np.isneginf(log_ratio))
-        self._log_ratio = np.where(self._impossible, 0.0, log_ratio)
-        self._is_counted = is_counted
+        self._judged = hypotheses if margin is None else hypotheses.eroded(margin, space)
+        self._steps = stepwise(hypotheses, self._judged, space, problem.between_states)
+        self._clearance = clearance
         self._entered = np.zeros(len(hypotheses), bool)
         with np.errstate(divide="ignore"):
             log_prior = np.log(self._prior)
         self._log_none, self._log_share = float(log_prior[0]), log_prior[1:].astype(np.float32)
-        self._base = self._log_ratio.astype(np.float32)
+        self._goal = np.asarray(evidence.tasks.goal[number], float)
+        # the first call takes longest: not while they move
+        self._begin(self._start, evidence.log_ratio[number], self._ahead(self._start, 0))
         limits = space.bounds + [-START_TOLERANCE, START_TOLERANCE] * space.extent[:, None]
         limits[space.is_angle] = -np.inf, np.inf
         self._bounds = limits.tolist()
@@ -125,7 +130,6 @@ class Monitor:
         self._jitter = (JITTER * space.extent).tolist()
         self._near = (START_TOLERANCE * space.unit).tolist()
         self._array = np.empty(len(space.names))
-        self._ahead(self._start, 0)  # the first call takes longest: not while they move
         self._state: list[float] = []
         self._time, self._is_timed = 0.0, False
         self._last: Belief | None = None
@@ -148,23 +152,21 @@ class Monitor:
         Raises:
           ValueError: if the state is not n finite numbers, or time is not finite, negative, runs
             backwards, or is there for some states only; then nothing has changed. If nothing that
-            the prior allows is left.
+            the prior allows is left, or the foresight gives NaN; then the state has been taken in.
         """
         values = self._checked(state)
         now, is_first = self._checked_time(time), not self._state
-        if not is_first and now == self._time and values == self._state:
-            assert self._last is not None
+        if self._last is not None and now == self._time and values == self._state:
             return self._last._replace(entered=(), flags=(REPEATED,))
         self._array[:] = values
         flags = self._flags(values, now, is_first)
-        last, self._state, self._time = self._state, values, now
+        last, self._state, self._time, self._last = self._state, values, now, None
         self._is_timed = time is not None
         step = min(round(now / self._problem.dt), self._problem.num_steps)
         is_over = step == self._problem.num_steps  # nothing is left to be avoided
         if is_first and LATE in flags:
-            foreseen = 0.0 if is_over else self._ahead(self._array, step)
-            self._base[:] = np.where(self._is_counted, foreseen, 0.0)
-            self._log_ratio = self._base.astype(float)
+            foreseen = np.zeros(len(self._entered)) if is_over else self._ahead(self._array, step)
+            self._begin(self._array, foreseen, foreseen)
         new = tuple(
             k for k in self._steps.enter(values) if self._is_counted[k] and not self._entered[k]
         )
@@ -173,7 +175,7 @@ class Monitor:
         if self._problem.known and self._is_forbidden(last or values, values):
             flags = (*flags, KNOWN)
         if is_over:
-            log_likelihood = -self._base
+            log_likelihood = -self._log_ratio.astype(np.float32)
         else:
             ahead = self._ahead(self._array, step)
             log_likelihood = np.subtract(ahead, self._base, dtype=np.float32)
@@ -181,6 +183,11 @@ class Monitor:
             log_likelihood[self._left_out] = 0.0
         self._last = self._belief(log_likelihood, new, flags)
         return self._last
+
+    @property
+    def is_new(self) -> bool:
+        """Whether no state has come yet."""
+        return not self._state
 
     def finish(self) -> Belief:
         """Return what the demonstration tells if it ends here: what `infer` tells of it.
@@ -207,6 +214,23 @@ class Monitor:
             flags=(SHORT,) if is_short else (),
         )
 
+    def _begin(self, state: np.ndarray, log_ratio: np.ndarray, foreseen: np.ndarray) -> None:
+        """Set what is held against prefixes that begin in a state [n], and what against the whole.
+
+        Args:
+          state: the first.
+          log_ratio: [H] log P(avoid c), nats; -inf where nobody can.
+          foreseen: [H] the same, as the foresight has it.
+        """
+        task = Task(state[None], self._goal[None])
+        counted = likelihood.is_counted(self._problem, task, self._clearance, self._judged)[0]
+        self._is_counted, self._left_out = counted, None if counted.all() else ~counted
+        self._impossible = np.isneginf(log_ratio) & counted
+        known = np.where(counted & ~self._impossible, log_ratio.astype(float), 0.0)
+        is_far = counted & np.isfinite(foreseen) & (np.abs(foreseen - known) > AGREEMENT)
+        self._log_ratio = known
+        self._base = np.where(is_far, foreseen, known).astype(np.float32)
+
     def _belief(
         self, value: np.ndarray, entered: tuple[int, ...], flags: tuple[str, ...]
     ) -> Belief:
@@ -219,7 +243,12 @@ class Monitor:
             struck_out = self._impossible.copy()
         np.copyto(value, -np.inf, where=struck_out)
         joint = value + self._log_share
-        largest = max(float(joint.max()), self._log_none)
+        largest = max(float(joint.max()), self._log_none)  # NaN if one is
+        if math.isnan(largest):
+            raise ValueError(
+                f"foresight: gave NaN for {self._state} at {self._time:g} s: learn it again, or "
+                "mend it"
+            )
         if largest == -math.inf:
             raise ValueError(
                 "prior: the states so far rule out every hypothesis, and P(no constraint) is 0: "
@@ -230,14 +259,16 @@ class Monitor:
         none = math.exp(self._log_none - largest)
         total = none + float(joint.sum())
         joint /= np.float32(total)
+        for array in (struck_out, value, joint):
+            array.setflags(write=False)
         return Belief(struck_out, value, none / total, joint, entered, flags)
 
     def _checked(self, state: Sequence[float] | np.ndarray) -> list[float]:
         """Return a state as n floats."""
         names = self._problem.space.names
         try:
-            values = [float(value) for value in state]
-        except (TypeError, ValueError):
+            values = [] if isinstance(state, str) else [float(value) for value in state]
+        except (TypeError, ValueError, OverflowError):
             values = []
         if len(values) != len(names):
             raise ValueError(
@@ -257,9 +288,9 @@ class Monitor:
             )
         if time is None:
             return self._time + self._problem.dt if self._state else 0.0
-        now = float(time)
+        now = time if type(time) is float else number_or_nan(time)
         if not (math.isfinite(now) and now >= 0.0):
-            raise ValueError(f"time: expected seconds since the start of the task, got {time}")
+            raise ValueError(f"time: expected seconds since the start of the task, got {time!r}")
         if self._state and now < self._time:
             raise ValueError(
                 f"time: runs backwards, from {self._time:g} s to {now:g} s; the state is left out"

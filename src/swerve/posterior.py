@@ -10,6 +10,7 @@ Shapes: H hypotheses; probabilities [..., H + 1] begin with that of no constrain
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 NONE = 0.5  # P(no constraint) unless a prior is given
 ROUNDING = 1e-6  # by which a prior may miss 1
 
-Prior = float | np.ndarray | None
+Prior = float | Sequence[float] | np.ndarray | None
 
 
 class Posterior(NamedTuple):
@@ -159,9 +160,8 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
     Raises:
       ValueError: if `least` is not between 0 and 1.
     """
-    least = number_or_nan(least)
-    if not 0.0 < least < 1.0:
-        raise ValueError(f"credible_set: expected a probability between 0 and 1, got {least}")
+    if not 0.0 < number_or_nan(least) < 1.0:
+        raise ValueError(f"credible_set: expected a probability between 0 and 1, got {least!r}")
     probabilities = np.concatenate([[found.none], found.hypotheses])
     order = np.argsort(-probabilities, kind="stable")
     together = np.cumsum(probabilities[order])
@@ -188,8 +188,10 @@ def of_inference(inference: Inference) -> Posterior:
         return Posterior(float(value[0]), 0.0, value[1:], np.zeros(len(value) - 1))
     used = inference.is_used[tasks]
     has_own_error = (evidence.is_resolved | evidence.is_floored)[tasks] & used
+    # what is left without the island that holds all who avoid is no less than one's share
     without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
-    from_islands = np.log(np.where(used & ~has_own_error & (without > 0.0), without, 1.0))
+    without = np.maximum(without, evidence.resolution[tasks][:, None])
+    from_islands = np.log(np.where(used & ~has_own_error, without, 1.0))
     log_ratio = np.where(has_own_error, inference.finite_log_ratio[tasks], from_islands)
     counts = likelihood.Counts(*(part[tasks] for part in inference.counts))
     log_likelihood = likelihood.log_likelihood(log_ratio, counts, inference.tolerance)
@@ -218,9 +220,10 @@ def least_tolerance(inference: Inference) -> float | None:
 
     None where one is already, or none would be up to the largest tolerance.
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         log_odds = np.log(inference.prior[1:]) - np.log(inference.prior[0])
-    log_odds = np.where(inference.impossible, -np.inf, log_odds)
-    if (inference.log_likelihood + log_odds > 0.0).any():
+    log_odds = np.where(inference.impossible | (inference.prior[1:] == 0.0), -np.inf, log_odds)
+    left = ~inference.struck_out
+    if (inference.log_likelihood[left] + log_odds[left] > 0.0).any():
         return None
     return likelihood.least_tolerance(inference.finite_log_ratio, inference.counts, log_odds)

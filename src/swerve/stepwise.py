@@ -8,7 +8,7 @@ others are judged as whole trajectories are (see `hypotheses`), and so is whatev
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -30,24 +30,23 @@ class Steps(Protocol):
 
 def stepwise(
     hypotheses: HypothesisSet,
+    judged: HypothesisSet,
     space: StateSpace,
     between_states: bool,
-    margin: Mapping[str, float] | None = None,
 ) -> Steps:
     """Return what judges one trajectory, from its first state on.
 
     Args:
       hypotheses: what it may enter.
+      judged: what a margin leaves of them; they themselves without one.
       space: what the states are.
       between_states: whether the segments between states count as well.
-      margin: how deep inside a hypothesis it must be, for some states.
     """
-    left = hypotheses if margin is None else hypotheses.eroded(margin, space)
     if not isinstance(hypotheses, GridHypotheses):
-        return WholeSteps(left, space, between_states)
+        return WholeSteps(judged, space, between_states)
     whole = WholeSteps(hypotheses, space, between_states)
     steps = GridSteps(hypotheses, space, whole)
-    return steps if margin is None else ErodedSteps(steps, left, space, between_states)
+    return steps if judged is hypotheses else ErodedSteps(steps, judged, space, between_states)
 
 
 class WholeSteps:

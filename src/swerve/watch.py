@@ -37,6 +37,9 @@ class Watch:
       foresight: what `Monitor` needs.
       tasks: by name; the id of a demonstration names its task, unless there is only one.
       options: of `Monitor`.
+
+    Raises:
+      ValueError: if an option is of the wrong kind or range.
     """
 
     def __init__(
@@ -46,6 +49,7 @@ class Watch:
         self._options = options
         self._names = evidence.problem.space.names
         self._monitors: dict[str, Monitor] = {}
+        self._new(next(iter(tasks.values())))  # which says now what is wrong with the options
 
     def answer(self, line: str) -> dict[str, Any]:
         """Return what one line tells, or an object with an "error" that says what is wrong."""
@@ -58,10 +62,22 @@ class Watch:
                 data = dict(zip(self._names, data, strict=True))
             if not isinstance(data, dict):
                 raise ValueError(f"expected an object or an array, got {line.strip()}")
-            name = str(data.get("id", ""))
+            name = "" if data.get("id") is None else str(data["id"])
+            self._check_keys(data)
             return self._ended(name) if data.get("end") else self._observed(name, data)
         except ValueError as error:
             return {"id": name, "error": str(error)}
+
+    def _check_keys(self, data: dict[str, Any]) -> None:
+        """Raise ValueError where an object holds what means nothing here."""
+        strange = [key for key in data if key not in (*self._names, "t", "id", "end")]
+        if strange:
+            raise ValueError(
+                f"expected {', '.join(self._names)}, t, id and end, got also {strange[0]!r}: the "
+                "line is left out"
+            )
+        if not isinstance(data.get("end", False), bool):
+            raise ValueError(f'expected true or false as "end", got {data["end"]!r}')
 
     def _observed(self, name: str, data: dict[str, Any]) -> dict[str, Any]:
         """Return what a state of one demonstration tells."""
@@ -87,6 +103,9 @@ class Watch:
                 f"id {name!r}: expected that of one of {len(tasks)} tasks, such as "
                 f"{next(iter(tasks))!r}"
             )
+        return self._new(task)
+
+    def _new(self, task: Task) -> Monitor:
         return Monitor(self._evidence, task, self._foresight, **self._options)
 
     def _ended(self, name: str) -> dict[str, Any]:
@@ -110,7 +129,7 @@ def foresight_of(work: Work, evidence: Evidence) -> Foresight:
     path = None if path is None else path.with_name(path.name.replace(".evidence", ".foresight"))
     if path is not None and path.exists():
         foresight = Foresight.load(path, evidence.problem)
-        if all(foresight.knows(goal) for goal in evidence.tasks.goal):
+        if foresight.learned_from == evidence.digest:
             return foresight
     from swerve.foresight_training import foresee
 
@@ -131,6 +150,8 @@ def _parsed(line: str) -> Any:
     """
     try:
         return json.loads(line)
+    except RecursionError:
+        raise ValueError("expected one JSON object or array a line, got one too deep") from None
     except json.JSONDecodeError as error:
         raise ValueError(
             f"expected one JSON object or array a line, got {reprlib.repr(line.strip())} "
