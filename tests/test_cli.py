@@ -60,6 +60,10 @@ def test_several_constraints_one_after_another(
     assert status == 0
     assert "pick  index      nats   a demo     +-  log odds  hypothesis" in out
     assert f"    2 {second['index']:>6}  {second['total_gain']:>8.2f}" in out
+    assert "as many as asked for: 2" in out
+    status, out, _ = run(*arguments[:-1], 40)
+    assert status == 0
+    assert "no other explains 0.1 nats a demonstration, the least to be picked" in out
     for more, message in (
         (("--greedy", 0, demonstrations[0]), "--greedy: expected a number of picks >= 1, got 0"),
         (("--greedy", 2), "--greedy: constraints are picked from demonstrations"),

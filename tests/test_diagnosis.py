@@ -88,6 +88,7 @@ def test_the_end_of_one_whose_goal_is_no_state(evidence: Evidence) -> None:
         ({"kl": 0.4}, "importance", None),
         ({"kl": 0.4}, "plain", "plain weights take it for pi_0: use importance weights"),
         ({"kl": 0.05}, "plain", None),
+        ({"kl": 0.05, "effective_sample_size": 400.0 * (1.0 + 1e-12)}, "plain", None),
         ({"soft_value": 3.2}, "importance", "log Z_0 is not that of its samples (worst: demo_b, "),
         ({"soft_value": 3.08}, "importance", None),
         ({"soft_value": 3.7, "effective_sample_size": 220.0}, "importance", None),

@@ -273,7 +273,7 @@ def test_bad_arguments() -> None:
     acting = make_evidence(
         make_record(hypotheses=ConstraintHypotheses([ActionBox(u=(0.0, 1.0))] * 12))
     )
-    with pytest.raises(ValueError, match="some hypotheses are about actions"):
+    with pytest.raises(ValueError, match="hypotheses: some are about actions"):
         Monitor(acting, TASK, foresight)
     with pytest.raises(ValueError, match="tolerance: expected"):
         make_monitor(tolerance=1.0)

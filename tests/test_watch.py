@@ -108,6 +108,18 @@ def test_an_unknown_id_is_refused_where_there_are_several_tasks() -> None:
     assert answer["error"] == "id '': expected that of one of 3 tasks, such as 'demo_0'"
 
 
+def test_hypotheses_about_actions_are_refused_before_the_work(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "pushy.py").write_text(
+        "from swerve import ActionBox, Pendulum, Problem\n"
+        "def problem():\n    return Problem(Pendulum(), [ActionBox(torque=(1.0, 2.0))])\n"
+    )
+    problem = f"{tmp_path / 'pushy.py'}:problem"
+    status, out, err = run("watch", problem, "--work", tmp_path / "work")
+    assert (status, out) == (1, "")
+    assert "hypotheses: some are about actions, and a monitor sees states alone" in err
+    assert not list((tmp_path / "work").glob("*.evidence"))
+
+
 def test_the_command_learns_once_and_then_starts_without_jax(
     run: Run,
     robot: str,
@@ -134,20 +146,28 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     assert len(answers) == len(lines)
     assert not any("error" in answer for answer in answers)
     assert [answer["flags"] for answer in answers] == [[]] * len(lines)
+    written = [path.stat().st_mtime_ns for path in work.iterdir()]
+    for option, message in (("--tolerance", "tolerance"), ("--clearance", "clearance")):
+        status, _, err = run(*arguments, option, -1)
+        assert status == 1
+        assert f"{message}: expected" in err
+        assert err.count("\n") == 1  # before anything else
+    assert [path.stat().st_mtime_ns for path in work.iterdir()] == written
     (path,) = work.glob("*.foresight")
     assert path.stem == next(work.glob("*.evidence")).stem
 
     code = "import sys; sys.modules['jax'] = None; from swerve.cli import main; main()"
     again = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
-        input=text,
+        input=b"\xff\n" + text.encode(),
         capture_output=True,
-        text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         check=False,
     )
     assert again.returncode == 0, again.stderr
-    assert [json.loads(line) for line in again.stdout.splitlines()] == answers
+    broken, *others = map(json.loads, again.stdout.splitlines())
+    assert "expected one JSON object or array a line" in broken["error"]
+    assert others == answers
 
     # the last answer is that of infer
     status, out, _ = run(

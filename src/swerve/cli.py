@@ -6,6 +6,7 @@ folder that holds the answer starts at once.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -31,6 +32,7 @@ from swerve.cli_options import (
     Tasks,
     WorkFolder,
     asked_tasks,
+    check_judging,
     open_work,
     read_files,
     say,
@@ -89,6 +91,7 @@ def infer(
     if greedy is not None:
         _check_greedy(greedy, demonstrations)
     job = open_work(problem, work, how)
+    check_judging(job.record, judged)
     found = read_files(job, demonstrations, tasks)
     asked = asked_tasks(job, found, tasks)
     evidence = job.evidence(asked)
@@ -99,7 +102,7 @@ def infer(
     if not no_resolve:
         result = rank(job.resolved(result))
     picks = None if greedy is None else _picks(job, result, greedy)
-    _show(result, picks, report, as_json)
+    _show(result, picks, greedy, report, as_json)
 
 
 @app.command
@@ -156,11 +159,16 @@ def watch(
         [default: the task that the work folder holds, if it is only one]
     """
     from swerve.demonstrations import read_tasks
+    from swerve.monitor import check_hypotheses
     from swerve.space import Task
     from swerve.watch import Watch, foresight_of
     from swerve.watch import watch as answer_lines
 
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(errors="replace")  # so that broken bytes are answered, as a bad line
     job = open_work(problem, work, how)
+    check_hypotheses(job.record)
+    check_judging(job.record, judged)
     asked = asked_tasks(job, [], tasks)
     evidence = job.evidence(asked)
     if tasks is not None:
@@ -292,8 +300,14 @@ def _picks(job: Work, result: Inference, most: int) -> list[Pick]:
     return greedy(result, nominal, most=most)
 
 
-def _show(result: Inference, picks: list[Pick] | None, report: Path | None, as_json: bool) -> None:
-    """Print a result and what was picked, and write its report if one is asked for."""
+def _show(
+    result: Inference,
+    picks: list[Pick] | None,
+    most: int | None,
+    report: Path | None,
+    as_json: bool,
+) -> None:
+    """Print a result and what was picked, at most so many; write its report if one is asked for."""
     from swerve import listing
 
     for warning in result.warnings:
@@ -306,8 +320,8 @@ def _show(result: Inference, picks: list[Pick] | None, report: Path | None, as_j
         print(result.headline)
         print(result.belief)
         print(result.table())
-        if picks is not None:
-            print(listing.picks_table(result, picks))
+        if picks is not None and most is not None:
+            print(listing.picks_table(result, picks, most))
         print(result.verdicts())
     if report is not None:
         result.report(report)

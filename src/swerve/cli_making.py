@@ -77,7 +77,8 @@ def reproduce(
 
     Args:
       name: The result.
-      out: Folder to write into; files of the same names are replaced. human-walk does without.
+      out: Folder to write into; files of the same names are replaced. gridworld needs one;
+        without one human-walk prints its tables alone.
       data: Golden output, a golden.json, to take demonstrations from and to compare with.
         [default: demonstrations drawn in a world of Swerve's own]; of human-walk, the folder.
       quick: Fewer numbers of demonstrations; of human-walk, wider steps of beta.

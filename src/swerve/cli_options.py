@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from swerve.problem import ProblemRecord
     from swerve.space import Task
     from swerve.work import Work
 
@@ -108,6 +109,25 @@ def open_work(problem: str, folder: Path | None, how: Choices = AS_BEFORE) -> Wo
 
     settings = Settings(how.solver, how.seed, how.method, how.samples)
     return Work(problem, folder, settings, say=say, progress=True)
+
+
+def check_judging(record: ProblemRecord, judged: Judging) -> None:
+    """Make sure, before the work, that demonstrations can be judged as asked.
+
+    Raises:
+      ValueError: if an option is of the wrong kind or range, or hypotheses do not allow it.
+    """
+    import numpy as np
+
+    from swerve import likelihood, posterior
+    from swerve.space import Task
+
+    hypotheses, space = record.hypotheses, record.space
+    likelihood.checked_tolerance(judged.tolerance)
+    posterior.checked_prior(judged.prior, len(hypotheses))
+    left = hypotheses if judged.margin is None else hypotheses.eroded(judged.margin, space)
+    nobody = Task(np.zeros((0, len(space.names))), np.zeros((0, len(record.goal_names))))
+    likelihood.is_counted(record, nobody, judged.clearance, left)
 
 
 def read_files(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[Any]:

@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from swerve.problem import ProblemRecord
     from swerve.space import Task
 
+THRESHOLD = 0.1  # nats a demonstration: the least gain for which greedy selection picks
 MAX_TOLERANCE = 0.5
-NUM_TOLERANCES = 61  # tried between the least and the largest, evenly in their logs
+NUM_TOLERANCES = 61  # tried first, between the least and the largest, evenly in their logs
 LEAST_TOLERANCE = 1e-6
+SAME_TOLERANCE = 1e-3  # apart in their logs: refined so far
 
 
 class Counts(NamedTuple):
@@ -132,7 +134,17 @@ def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray
       counts: of the demonstrations.
       log_prior: [H] log prior(c) / P(none), nats.
     """
-    for tolerance in np.geomspace(LEAST_TOLERANCE, MAX_TOLERANCE, NUM_TOLERANCES):
-        if (log_likelihood(log_ratio, counts, float(tolerance)) + log_prior > 0.0).any():
-            return float(tolerance)
-    return None
+
+    def is_enough(log_tolerance: float) -> bool:
+        value = log_likelihood(log_ratio, counts, math.exp(log_tolerance))
+        return bool((value + log_prior > 0.0).any())
+
+    tried = np.linspace(math.log(LEAST_TOLERANCE), math.log(MAX_TOLERANCE), NUM_TOLERANCES)
+    enough = next((k for k, value in enumerate(tried.tolist()) if is_enough(value)), None)
+    if enough is None:
+        return None
+    low, high = tried[max(enough - 1, 0)], tried[enough]
+    while high - low > SAME_TOLERANCE:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if is_enough(middle) else (middle, high)
+    return math.exp(high)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swerve.inference import Inference
+from swerve.likelihood import THRESHOLD
 
 if TYPE_CHECKING:
     from swerve.posterior import Posterior
@@ -73,10 +74,11 @@ def to_json(inference: Inference) -> dict[str, Any]:
     }
 
 
-def picks_table(inference: Inference, picks: Sequence[Pick]) -> str:
-    """Return what greedy selection picked, in order, as text."""
+def picks_table(inference: Inference, picks: Sequence[Pick], most: int) -> str:
+    """Return what greedy selection picked, at most so many, in order, and why it ended, as text."""
+    enough = f"{THRESHOLD:g} nats a demonstration, the least to be picked"
     if not picks:
-        return "no constraint explains enough to be picked"
+        return f"no constraint explains {enough}"
     columns = f"{'nats':>8} {'a demo':>8} {'+-':>6}  {'log odds':>8}"
     lines = [f"{'pick':>5} {'index':>6}  {columns}  hypothesis"]
     for number, pick in enumerate(picks, 1):
@@ -85,6 +87,8 @@ def picks_table(inference: Inference, picks: Sequence[Pick]) -> str:
             f"{pick.standard_error:>6.3f}  {pick.log_odds:>8.2f}  "
             f"{inference.hypothesis_name(pick.hypothesis)}"
         )
+    ended = f"as many as asked for: {most}"
+    lines.append(f"      {ended if len(picks) == most else f'no other explains {enough}'}")
     return "\n".join(lines)
 
 

@@ -32,6 +32,7 @@ from swerve.diagnosis import COARSE, FAST, JITTER, TIME_SLACK
 from swerve.evidence import Evidence
 from swerve.foresight import Foreseer
 from swerve.posterior import Prior, checked_prior, posterior
+from swerve.problem import ProblemRecord
 from swerve.space import TWO_PI, Task
 from swerve.state_checks import START_TOLERANCE
 from swerve.stepwise import stepwise
@@ -104,7 +105,8 @@ class Monitor:
         self.evidence = evidence
         problem = evidence.problem
         hypotheses, space = problem.hypotheses, problem.space
-        _check_foresight(evidence, foresight)
+        check_hypotheses(problem)
+        _check_foresight(problem, foresight)
         self._tolerance = likelihood.checked_tolerance(tolerance)
         self._prior = checked_prior(prior, len(hypotheses))
         number = evidence.match(task)
@@ -346,14 +348,16 @@ class Monitor:
         )
 
 
-def _check_foresight(evidence: Evidence, foresight: Foreseer) -> None:
-    """Raise ValueError where a foresight is none, or of another problem than the evidence."""
-    problem = evidence.problem
+def check_hypotheses(problem: ProblemRecord) -> None:
+    """Raise ValueError where hypotheses are about actions: a monitor sees states alone."""
     if problem.hypotheses.about_actions:
         raise ValueError(
-            "evidence: some hypotheses are about actions, and a monitor sees states alone: leave "
-            "them out"
+            "hypotheses: some are about actions, and a monitor sees states alone: leave them out"
         )
+
+
+def _check_foresight(problem: ProblemRecord, foresight: Foreseer) -> None:
+    """Raise ValueError where a foresight is none, or of another problem than the evidence."""
     if not (hasattr(foresight, "towards") and hasattr(foresight, "fingerprint")):
         raise ValueError(
             "foresight: expected what swerve.foresee returns, or swerve.Rollouts(nominal), got "

@@ -64,7 +64,7 @@ def greedy(
     inference: Inference,
     nominal: ExactNominal | None = None,
     *,
-    threshold: float = 0.1,
+    threshold: float = likelihood.THRESHOLD,
     odds: float | None = None,
     most: int | None = None,
 ) -> list[Pick]:

@@ -180,7 +180,7 @@ def _value_gap(inference: Inference) -> np.ndarray:
     evidence = inference.evidence
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     share = evidence.effective_sample_size / evidence.num_trajectories
-    error = np.sqrt((1.0 / share - 1.0) / evidence.num_trajectories)  # of log Z_0
+    error = np.sqrt(np.maximum(1.0 / share - 1.0, 0.0) / evidence.num_trajectories)  # of log Z_0
     if evidence.method in RESAMPLED and evidence.solver.startswith("Grid("):
         share, error = np.ones_like(share), evidence.log_partition_error
     explained = NUM_ERRORS * error - np.log(share)

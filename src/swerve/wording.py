@@ -87,8 +87,8 @@ def tolerable(inference: Inference) -> str:
     if tolerance is None:
         return "; no tolerance makes any of them more probable than no constraint"
     return (
-        f"; with a tolerance of {tolerance:.2g} or more, some demonstrations ignoring it, one "
-        "would be more probable than no constraint"
+        f"; with a tolerance of about {tolerance:.2g} or more, some demonstrations ignoring it, "
+        "one would be more probable than no constraint"
     )
 
 
