@@ -107,10 +107,12 @@ def is_counted(
       ValueError: if the distance is negative or no number, or a hypothesis has none.
     """
     space, hypotheses = problem.space, problem.hypotheses
+    counted = np.ones((len(tasks.start), len(hypotheses)), bool)
+    if clearance is None and judged is hypotheses:
+        return counted
     ends = [np.asarray(tasks.start, float)]
     if problem.goal_names == space.names:
         ends.append(np.asarray(tasks.goal, float))
-    counted = np.ones((len(ends[0]), len(hypotheses)), bool)
     if clearance is not None:
         if not 0.0 <= number_or_nan(clearance) < math.inf:
             raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
