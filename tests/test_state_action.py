@@ -18,6 +18,7 @@ from swerve import (
     Grid,
     Gridworld,
     HalfSpace,
+    Pendulum,
     Predicate,
     Problem,
     StateAction,
@@ -237,3 +238,14 @@ class TestWords:
             StateAction(Box(z=(0, 1)), FAST).check(PLANE, ("f",))
         with pytest.raises(ValueError, match="no action component 'f'"):
             FAST_LEFT.check(PLANE, ("g",))
+
+    def test_what_forbids_no_action_is_refused(self) -> None:
+        beyond = ActionBox(torque=(30.0, 40.0))
+        message = (
+            r"hypotheses: action torque \[30, 40\) in omega \[0, 1\) forbids none of the 5 actions "
+            r"of Pendulum \(torque from -1 to 1\)"
+        )
+        with pytest.raises(ValueError, match=message):
+            Problem(Pendulum(), [ActionBox(torque=(0, 2)), StateAction(Box(omega=(0, 1)), beyond)])
+        with pytest.raises(ValueError, match="forbids none of the 5 actions"):
+            Problem(Pendulum(), [Union("both", [Box(omega=(0, 1)), beyond])])

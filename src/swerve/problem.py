@@ -25,10 +25,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swerve.arguments import positive_number
+from swerve.boxes import ActionBox
 from swerve.constraint_data import constraint_from_json
 from swerve.constraints import Constraint, check_constraints
 from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
 from swerve.space import StateSpace, Transitions
+from swerve.state_action import StateAction
 
 if TYPE_CHECKING:
     from swerve.mdp import MDP
@@ -87,6 +89,7 @@ class Problem:
         if self.measure not in MEASURES:
             raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
         self.hypotheses.check(space, action_names)
+        _check_actions(self.hypotheses, self.mdp)
         known = check_constraints(self.known, space, action_names, "known")
         object.__setattr__(self, "known", known)
 
@@ -112,6 +115,26 @@ class Problem:
             mdp_digest=_mdp_digest(self.mdp),
             transitions=getattr(self.mdp, "transitions", None),
         )
+
+
+def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
+    """Raise ValueError where a hypothesis forbids none of the actions: it could never be told."""
+    if not hypotheses.about_actions:
+        return
+    table = np.asarray(mdp.actions)
+    span = ", ".join(
+        f"{name} from {low:g} to {high:g}"
+        for name, low, high in zip(mdp.action_names, table.min(0), table.max(0), strict=True)
+    )
+    for index in range(len(hypotheses)):
+        for part in hypotheses.constraint(index).parts:
+            box = part.actions if isinstance(part, StateAction) else part
+            if isinstance(box, ActionBox) and not box.among(mdp).any():
+                raise ValueError(
+                    f"hypotheses: {part.name} forbids none of the {len(table)} actions of "
+                    f"{type(mdp).__name__} ({span}), so that nothing would tell it from no "
+                    "constraint: widen it, or give the MDP such actions"
+                )
 
 
 @dataclass(frozen=True, eq=False)
