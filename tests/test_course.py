@@ -51,6 +51,10 @@ def test_times_are_the_models_steps_where_none_are_known() -> None:
     np.testing.assert_allclose(course.times, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4])
 
 
+def test_it_shows_itself_in_one_line(course: Course) -> None:
+    assert repr(course) == "<Course of demo: 30 states>"
+
+
 def test_a_monitor_that_has_seen_states_is_refused() -> None:
     evidence = make_evidence()
     monitor = Monitor(evidence, moving().task, Known(evidence))

@@ -507,3 +507,17 @@ class TestOutput:
     def test_names(self, result: Inference) -> None:
         assert result.hypothesis_name(8) == "x [8, 9)"
         assert [result.task_name(k) for k in range(3)] == ["a", "task 1", "b"]
+
+
+def test_a_shorter_demonstration_rests_where_it_ends() -> None:
+    """It does not enter what lies on the straight way back to its start."""
+    evidence = make_evidence(make_record(between_states=True))
+    start, goal = TASKS.start[0], TASKS.goal[0]
+    corner = np.array([[0.1, 1.0], [1.0, 1.0], [2.0, 1.0], [2.0, 4.0], [2.0, 8.0]])
+    short = Demonstration("short", corner, Task(start, goal))
+    longer = make_demonstration(0, "longer", num_states=12)
+    together = infer(evidence, [short, longer])
+    alone = infer(evidence, [short])
+    np.testing.assert_array_equal(together.entered[0], alone.entered[0])
+    back = Demonstration("back", np.concatenate([corner, corner[:1]]), Task(start, goal))
+    assert infer(evidence, [back]).entered.sum() > alone.entered.sum()

@@ -130,6 +130,13 @@ class TestClearance:
         error = (near.is_counted * evidence.standard_error**2).sum(axis=0) ** 0.5
         np.testing.assert_allclose(result.standard_error, error)
 
+    def test_what_nothing_is_told_of_is_said(self) -> None:
+        evidence = sampled()
+        demonstrations = [make_demonstration(2)]  # counts no cells but 0, 1 and 2
+        [warning] = infer(evidence, demonstrations, clearance=1.5).warnings
+        assert warning.startswith("of 2 of the 5 hypotheses these demonstrations tell nothing")
+        assert not infer(evidence, demonstrations).warnings
+
     def test_none_counts_all(self) -> None:
         assert infer(sampled()).is_counted.all()
 

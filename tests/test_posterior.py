@@ -196,7 +196,7 @@ class TestOfInference:
         assert not certain.is_ruled_out
         with pytest.raises(ValueError, match="rule out every hypothesis"):
             _ = nothing.posterior
-        assert nothing.belief.startswith("Posterior: none of these 4")
+        assert nothing.belief.startswith("Posterior: none of these 4: no constraint at all, or")
         data = json.loads(json.dumps(nothing.to_json()))
         assert data["none"]["posterior"] is None
         assert data["credible_set"] is None

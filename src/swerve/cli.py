@@ -275,6 +275,8 @@ def _check_report(report: Path) -> None:
 
     if report.is_dir():
         raise IsADirectoryError(f"--report {report} is a folder; name a file, such as report.html")
+    if report.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"--report {report}: it is an HTML page; name a file such as report.html")
     check_writable(report.parent)
 
 

@@ -38,6 +38,10 @@ class Course(NamedTuple):
     log_likelihood: np.ndarray
     entered: np.ndarray
 
+    def __repr__(self) -> str:
+        """Return what it is of, in one line."""
+        return f"<Course of {self.demonstration.name}: {len(self.times) - 1} states>"
+
 
 def follow(monitor: Monitor, demonstration: Demonstration) -> Course:
     """Lead a new monitor along a finished demonstration, state by state, and to its end.

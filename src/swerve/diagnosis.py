@@ -36,6 +36,7 @@ def warnings(inference: Inference) -> tuple[str, ...]:
     """Return what speaks against trusting the ranking; empty if nothing does."""
     return (
         *_exhausted(inference),
+        *_left_out(inference),
         *_impossible(inference),
         *_of_samples(inference),
         *(() if inference.evidence.is_exact else trust.hardly_avoided(inference)),
@@ -214,8 +215,20 @@ def _exhausted(inference: Inference) -> Iterator[str]:
         yield (
             f"no hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
             f"least one demonstration ({inference.demonstrations[int(entered.argmax())].name} "
-            f"alone enters {entered.max()}). The constraint is not among the hypotheses, or the "
-            f"demonstrations are not of this problem{wording.tolerable(inference)}"
+            f"alone enters {entered.max()}). There is no constraint, or it is not among the "
+            "hypotheses, or the demonstrations are not of this problem"
+            f"{wording.tolerable(inference)}"
+        )
+
+
+def _left_out(inference: Inference) -> Iterator[str]:
+    """Yield of which hypotheses no demonstration tells, for being too near the ends of tasks."""
+    num = np.count_nonzero(~inference.is_used.any(axis=0))
+    if num:
+        yield (
+            f"of {num} of the {len(inference.struck_out)} hypotheses these demonstrations tell "
+            "nothing, since each task starts or ends within the clearance of them, or grazes them: "
+            "they stay as probable as they were"
         )
 
 

@@ -158,6 +158,11 @@ class Foresight:
     weights: tuple[np.ndarray, ...]
     biases: tuple[np.ndarray, ...]
 
+    def __repr__(self) -> str:
+        """Return how large it is, in one line."""
+        sizes = ", ".join(str(len(bias)) for bias in self.biases)
+        return f"<Foresight of {len(self.goals)} goals, layers of {sizes}>"
+
     def knows(self, goal: np.ndarray) -> bool:
         """Return whether it was learned for a goal [g]."""
         if not len(goal):

@@ -49,6 +49,9 @@ class Pair(NamedTuple):
 def best_pair(inference: Inference, nominal: ExactNominal | None = None) -> Pair:
     """Return the two hypotheses that together explain the demonstrations best.
 
+    With a tolerance the best of them alone may explain more than any two: compare with the largest
+    `inference.log_likelihood`.
+
     All pairs are looked at, or ruled out by a bound. The work grows with the square of the number
     of hypotheses that explain anything, and with an exact solver with how long it takes to answer
     with one of them in force.

@@ -68,7 +68,10 @@ def sentence(inference: Inference) -> str:
 def belief(inference: Inference) -> str:
     """Return how probable no constraint and the best hypothesis are, and the 95 % credible set."""
     if inference.is_ruled_out or (inference.demonstrations and not len(inference.ranking)):
-        return f"Posterior: none of these {len(inference.struck_out)}{tolerable(inference)}."
+        return (
+            f"Posterior: none of these {len(inference.struck_out)}: no constraint at all, or one "
+            f"that is not among them{tolerable(inference)}."
+        )
     found, credible = inference.posterior, inference.credible_set()
     parts = [f"Posterior: no constraint {probability(found.none, found.none_error)}"]
     if found.hypotheses.any():
