@@ -27,6 +27,7 @@ from swerve.grids import grid
 from swerve.hypotheses import ConstraintHypotheses
 from swerve.inference import Inference, infer
 from swerve.report import page, write_report
+from swerve.selection import greedy
 from swerve.space import TWO_PI, StateSpace, Task
 
 EVIL = """</td><script>alert("1")</script><b onmouseover='x'>&amp; $x_{"""
@@ -341,9 +342,20 @@ class TestWriting:
             write_report(ordinary(), tmp_path / "file" / "report.html")
 
 
-@pytest.mark.parametrize(
-    ("nats", "text"),
-    [(0.0, "1"), (0.5, "1.6"), (3.0, "20"), (13.37, "640,000"), (30.0, "10^13")],
-)
-def test_likelihood_ratios_have_two_digits(nats, text) -> None:
-    assert report._times(nats) == text
+class TestSeveral:
+    def test_lists_the_picks_in_order(self) -> None:
+        result = ordinary()
+        picks = greedy(result)
+        assert len(picks) > 1
+        *_, ranking, several, _ = Page(page(result, picks)).tables
+        assert ranking[0][0] == "rank"
+        assert several[0][0] == "pick"
+        expected = [[f"{n}", f"{p.hypothesis}"] for n, p in enumerate(picks, 1)]
+        assert [row[:2] for row in several[1:]] == expected
+        assert [float(row[3]) for row in several[1:]] == pytest.approx(
+            [pick.total_gain for pick in picks], abs=0.006
+        )
+
+    def test_says_where_none_explains_enough(self) -> None:
+        assert "No constraint explains enough to be picked." in Page(page(ordinary(), [])).words
+        assert "Several constraints" not in page(ordinary())

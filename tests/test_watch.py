@@ -167,6 +167,7 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     assert again.returncode == 0, again.stderr
     broken, *others = map(json.loads, again.stdout.splitlines())
     assert "expected one JSON object or array a line" in broken["error"]
+    assert broken["line"] == 1
     assert others == answers
 
     # the last answer is that of infer

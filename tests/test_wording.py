@@ -135,3 +135,30 @@ def test_lines_do_not_break_inside_a_value() -> None:
         assert " ".join(lines) == text
         for value in ("[3.14, 3.77)", "[-1.2, 0)", "13.4 ± 0.1 nats", "(180, 361)"):
             assert any(value in line for line in lines)
+
+
+class TestBelief:
+    def test_has_the_bayes_factor(self) -> None:
+        result = with_chances([0.1, 0.9, 0.1, 0.5])
+        assert result.log_bayes_factor > 0.0
+        factor = wording.times(result.log_bayes_factor)
+        assert f"; Bayes factor of a constraint against none {factor}; 95 %" in result.belief
+
+    def test_has_none_before_anything_is_seen(self) -> None:
+        assert "Bayes" not in infer(with_chances([0.5]).evidence).belief
+
+    @pytest.mark.parametrize(
+        ("nats", "text"),
+        [
+            (-np.inf, "0"),
+            (-30.0, "10^-13"),
+            (-3.0, "0.05"),
+            (0.0, "1"),
+            (0.5, "1.6"),
+            (3.0, "20"),
+            (13.37, "640,000"),
+            (30.0, "10^13"),
+        ],
+    )
+    def test_factors_have_two_digits(self, nats: float, text: str) -> None:
+        assert wording.times(nats) == text

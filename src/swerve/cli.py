@@ -326,7 +326,7 @@ def _show(
             print(listing.picks_table(result, picks, most))
         print(result.verdicts())
     if report is not None:
-        result.report(report)
+        result.report(report, picks)
         say(f"report: {report}")
 
 

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from swerve.evidence import Evidence
 from swerve.hypotheses import HypothesisSet
 from swerve.judging import judge
 from swerve.posterior import CredibleSet, Posterior, Prior
+
+if TYPE_CHECKING:
+    from swerve.selection import Pick
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
@@ -347,11 +350,16 @@ class Inference:
 
         return plot_inference(self, path)
 
-    def report(self, path: str | Path) -> None:
-        """Write one self-contained HTML page with the picture, the table and the diagnostics."""
+    def report(self, path: str | Path, picks: Sequence[Pick] | None = None) -> None:
+        """Write one self-contained HTML page with the picture, the table and the diagnostics.
+
+        Args:
+          path: the file.
+          picks: what `swerve.greedy` picked, if that is to be reported as well.
+        """
         from swerve.report import write_report
 
-        write_report(self, path)
+        write_report(self, path, picks)
 
 
 def infer(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import base64
 import io
-import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -23,6 +22,7 @@ from swerve import plots, store, wording
 from swerve.boxes import interval_name
 from swerve.grids import GridHypotheses
 from swerve.inference import TIE_ERRORS, Inference
+from swerve.selection import Pick
 from swerve.trust import is_untrusted
 
 MAX_HYPOTHESES = 50  # rows of the ranking
@@ -70,20 +70,23 @@ dd { margin: 0; overflow-wrap: anywhere; }
 """
 
 
-def write_report(inference: Inference, path: str | Path) -> None:
+def write_report(
+    inference: Inference, path: str | Path, picks: Sequence[Pick] | None = None
+) -> None:
     """Write the page, atomically; its folder is created if need be.
 
     Args:
       inference: what to report.
       path: the file.
+      picks: what `greedy` picked from it, if that is to be reported as well.
 
     Raises:
       OSError: if it cannot be written; then the file that was there is still there.
     """
-    store.write_text(path, page(inference))
+    store.write_text(path, page(inference, picks))
 
 
-def page(inference: Inference) -> str:
+def page(inference: Inference, picks: Sequence[Pick] | None = None) -> str:
     """Return the page as HTML."""
     title = escape(wording.title(inference))
     body = "\n".join(
@@ -95,6 +98,7 @@ def page(inference: Inference) -> str:
             _warnings(inference),
             _main_picture(inference),
             _ranking(inference),
+            "" if picks is None else _several(inference, picks),
             _how_to_read(inference),
             _tasks(inference),
             _settings(inference),
@@ -121,9 +125,10 @@ def _meaning(inference: Inference) -> str:
         )
     else:
         least = "at least " if inference.is_lower_bound[first] else ""
+        ratio = wording.times(float(score[first]))
         text = (
-            f"The demonstrations are {least}{_times(float(score[first]))} times as likely under "
-            "this constraint as under none."
+            f"The demonstrations are {least}{ratio} times as likely under this constraint as "
+            "under none."
         )
     behind = ranking[len(inference.leaders) :]
     if len(behind):
@@ -132,14 +137,6 @@ def _meaning(inference: Inference) -> str:
             f"{wording.score(inference, int(behind[0]))}."
         )
     return f"<p>{escape(text)}</p>"
-
-
-def _times(nats: float) -> str:
-    """Return e^nats to two digits."""
-    if nats > math.log(1e9):
-        return f"10^{nats / math.log(10):.0f}"
-    value = float(f"{math.exp(nats):.1e}")
-    return f"{value:,.0f}" if value >= 10 else f"{value:g}"
 
 
 def _warnings(inference: Inference) -> str:
@@ -219,6 +216,42 @@ def _ranking(inference: Inference) -> str:
             _more(num_left - len(rows), noun),
         ]
     )
+
+
+def _several(inference: Inference, picks: Sequence[Pick]) -> str:
+    """Return what greedy selection picked, in order."""
+    rows = [
+        (
+            "",
+            (
+                f"{number}",
+                f"{pick.hypothesis}",
+                wording.cut(inference.hypothesis_name(pick.hypothesis), MAX_NAME),
+                f"{pick.total_gain:.2f}",
+                f"{pick.gain:.3f}",
+                f"{pick.standard_error:.3f}",
+                f"{pick.log_odds:.2f}",
+            ),
+        )
+        for number, pick in enumerate(picks, 1)
+    ]
+    head = (
+        "pick",
+        wording.noun(inference),
+        "region",
+        "gain [nats]",
+        "a demonstration [nats]",
+        "standard error",
+        "log odds [nats]",
+    )
+    text = (
+        "Picked one after another, each for what it explains while those before it are in force. "
+        "Log odds: one more constraint, whichever, against no more, before it was picked."
+    )
+    if not picks:
+        text = "No constraint explains enough to be picked."
+    table = _table(head, rows, {0: "", 2: "name"}) if picks else ""
+    return f"<h2>Several constraints</h2><p>{text}</p>{table}"
 
 
 def _tasks(inference: Inference) -> str:

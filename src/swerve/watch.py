@@ -5,7 +5,8 @@
 
 A line is an object with the states by name, or an array of them in order. `t` [s] and `id` may be
 left out; demonstrations with different ids are watched side by side. {"end": true, "id": ...} ends
-one and gives the answer of `infer`. A bad line is answered by {"error": ...} and changes nothing.
+one and gives the answer of `infer`. A bad line is answered by {"error": ...,
+"line": its number} and changes nothing.
 """
 
 from __future__ import annotations
@@ -116,10 +117,16 @@ class Watch:
 
 
 def watch(lines: Iterable[str], answer: Callable[[str], dict[str, Any]], out: Any) -> None:
-    """Answer lines as they come, each at once; empty ones are passed over."""
-    for line in lines:
+    """Answer lines as they come, each at once; empty ones are passed over.
+
+    What is wrong with a line is said with its number, from 1.
+    """
+    for number, line in enumerate(lines, 1):
         if not line.isspace():
-            out.write(json.dumps(answer(line)) + "\n")
+            found = answer(line)
+            if "error" in found:
+                found["line"] = number
+            out.write(json.dumps(found) + "\n")
             out.flush()
 
 

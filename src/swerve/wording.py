@@ -66,7 +66,7 @@ def sentence(inference: Inference) -> str:
 
 
 def belief(inference: Inference) -> str:
-    """Return how probable no constraint and the best hypothesis are, and the 95 % credible set."""
+    """Return the posterior in a sentence: of none, of the best, Bayes factor, credible set."""
     if inference.is_ruled_out or (inference.demonstrations and not len(inference.ranking)):
         return (
             f"Posterior: none of these {len(inference.struck_out)}: no constraint at all, or one "
@@ -78,6 +78,9 @@ def belief(inference: Inference) -> str:
         best = int(found.hypotheses.argmax())
         value = probability(found.hypotheses[best], found.error[best])
         parts.append(f"{noun(inference)} {best} {value}")
+    if inference.demonstrations:
+        factor = times(inference.log_bayes_factor)
+        parts[-1] += f"; Bayes factor of a constraint against none {factor}"
     names = ["no constraint"] * credible.has_none
     if len(credible.hypotheses):
         names.append(_numbered(inference, credible.hypotheses.tolist()))
@@ -93,6 +96,14 @@ def tolerable(inference: Inference) -> str:
         f"; with a tolerance of about {tolerance:.2g} or more, some demonstrations ignoring it, "
         "one would be more probable than no constraint"
     )
+
+
+def times(nats: float) -> str:
+    """Return e^nats to two digits, a power of ten where it is large or small."""
+    if not -math.log(1e4) < nats <= math.log(1e9):
+        return f"10^{nats / math.log(10):.0f}" if math.isfinite(nats) else "0"
+    value = float(f"{math.exp(nats):.1e}")
+    return f"{value:,.0f}" if value >= 10 else f"{value:g}"
 
 
 def probability(value: float, error: float) -> str:
