@@ -43,7 +43,8 @@ class Beta(NamedTuple):
 
     Attributes:
       value: the beta [nats/m].
-      interval: where it lies for 95 % of sets of tracks drawn anew from these.
+      interval: where it lies for 95 % of sets of tracks drawn anew from these, and half a step
+        between the betas that were tried on either side.
       least: above which pi_0 exists.
       tried: [L] betas.
       score: [L, D] mean log-probability of what each track enters, nats a square.
@@ -104,8 +105,12 @@ def choose_beta(
     tried = tried[: len(score)]
     weights = generator.multinomial(num, np.full(num, 1.0 / num), NUM_RESAMPLED)
     low, high = np.percentile(tried[(score @ weights.T).argmax(axis=0)], (2.5, 97.5)).tolist()
+    half, least = (
+        math.sqrt(tried[1] / tried[0]),
+        walker.least_beta,
+    )  # nothing tells finer than steps
     best = float(tried[score.sum(axis=1).argmax()])
-    return Beta(best, (low, high), walker.least_beta, tried, score)
+    return Beta(best, (max(low / half, least), high * half), least, tried, score)
 
 
 def _avoid_probability(

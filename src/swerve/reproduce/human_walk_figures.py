@@ -129,8 +129,9 @@ def draw_map(result: Result) -> Figure:
     value = np.where(inference.struck_out | (inference.prior[1:] == 0.0), 0, inference.score)
     shown = np.ma.masked_less(value.reshape(hypotheses.shape).T, 0.5)
     image = axes.pcolormesh(x_middle, y_middle, shown, cmap=COLOURS, vmin=0.0, zorder=2)
-    for track in result.tracks.used:
-        axes.plot(*track.states.T, color=INK, lw=0.3, alpha=0.45, zorder=3)
+    for number, track in enumerate(result.tracks.used):
+        name = "_" if number else "a track"
+        axes.plot(*track.states.T, color=INK, lw=0.3, alpha=0.45, zorder=3, label=name)
     _outline_picks(axes, result.answer)
     (x_low, x_high), (y_low, y_high) = room.floor
     axes.set(xlim=(x_low - 0.3, x_high + 0.3), ylim=(y_low - 0.3, y_high + 0.3), aspect="equal")
@@ -140,6 +141,7 @@ def draw_map(result: Result) -> Figure:
     scale = figure.colorbar(image, ax=axes, location="bottom", aspect=30, pad=0.02)
     scale.set_label("log-likelihood ratio of the square around each point [nats]", fontsize=SMALL)
     scale.ax.tick_params(labelsize=SMALL)
+    _legend(figure, axes, "Grey: walls, and what is no floor", ncols=3)
     return figure
 
 
@@ -151,6 +153,7 @@ def _outline_picks(axes: Axes, answer: Answer) -> None:
         corner = (x - WIDTH / 2, y - WIDTH / 2)
         style: dict[str, Any] = {"fill": False, "edgecolor": INK, "path_effects": halo}
         style["ls"] = "-" if k == 0 else "--"
+        style["label"] = ("first pick", "picks after it", "_")[min(k, 2)]
         axes.add_patch(Rectangle(corner, WIDTH, WIDTH, lw=1.4, zorder=4, **style))
         place = {"xytext": (x + 0.55, y + 0.55), "fontsize": SIZE, "fontweight": "bold"}
         axes.annotate(str(k + 1), (x, y), color=INK, path_effects=halo, zorder=5, **place)
