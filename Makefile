@@ -118,7 +118,7 @@ lock: $(VENV)/interpreter  ## Resolve pyproject.toml into requirements/*.txt aga
 	@$(LOCK_VENV)/bin/python -m pip --disable-pip-version-check -qq install uv==$(UV_VERSION)
 	@echo "==> Resolving requirements/runtime.txt, dev.txt and benchmark.txt"
 	@$(UNIVERSAL) pyproject.toml requirements/build.in -o requirements/runtime.txt
-	@$(UNIVERSAL) pyproject.toml requirements/build.in --extra dev --extra docs \
+	@$(UNIVERSAL) pyproject.toml requirements/build.in --extra control --extra dev --extra docs \
 		-c requirements/runtime.txt -o requirements/dev.txt
 	@# Resolved as if for macOS, where torch has no CUDA dependencies to leave out; then torch is
 	@# split into the CPU build for Linux on x86-64 and the default one for the rest.

@@ -50,7 +50,7 @@ def test_what_is_no_whole_number_or_too_small(value: Any) -> None:
             swerve.demonstrate,
             [PROBLEM, WALL, CART_TASK],
             {"solver": "ppo"},
-            r"solver: expected a swerve.Grid, got PPO",
+            r"solver: expected one of grid, .*, got 'ppo'",
         ),
         (swerve.Grid, [2.5], {}, r"Grid: num_points: expected a whole number .* 2.5"),
         (swerve.Grid, [(21, 0)], {}, r"Grid: num_points: .* >= 4, got 0"),

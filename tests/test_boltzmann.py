@@ -3,27 +3,50 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 
 import numpy as np
 import pytest
 from reference import CART_TASK, enumerate_exactly, short_cart
 
-from swerve import Box, Grid, Task, demonstrate
+from swerve import (
+    Box,
+    Grid,
+    Gridworld,
+    Pendulum,
+    Problem,
+    SoftValue,
+    Task,
+    demonstrate,
+    grid,
+    learn,
+)
 from swerve.constraints import violates
 from swerve.hypotheses import unpack
 from swerve.tasks import draw_tasks
 
 WALL = Box(x=(-0.2, 0.3), v=(-0.9, 0.1))
 GRID = Grid(num_points=81)
+NETWORK = SoftValue(num_steps=400_000)
 
 
-def test_demonstrations_follow_the_constrained_distribution() -> None:
+@pytest.mark.parametrize("by", ["grid", "soft-value", "nominal of soft-value", "resampled"])
+def test_demonstrations_follow_the_constrained_distribution(
+    by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     problem = short_cart()
+    settings: dict = {"solver": GRID}
+    if by == "soft-value":
+        settings = {"solver": NETWORK}
+    elif by == "nominal of soft-value":
+        settings = {"nominal": learn(problem, NETWORK)}
+    elif by == "resampled":
+        monkeypatch.setattr("swerve.demonstrators.boltzmann.ENOUGH", 2.0)
     exact = enumerate_exactly(
         dataclasses.replace(problem, known=[WALL]), CART_TASK.start, CART_TASK.goal
     )
     tasks = Task(*(np.repeat(x[None], 400, axis=0) for x in CART_TASK))
-    made = demonstrate(problem, WALL, tasks, solver=GRID)
+    made = demonstrate(problem, WALL, tasks, **settings)
     space = problem.mdp.space
     assert not any(violates(WALL, d.states, space, True) for d in made)
     bits = np.concatenate(
@@ -32,6 +55,39 @@ def test_demonstrations_follow_the_constrained_distribution() -> None:
     share = unpack(bits, len(problem.hypotheses)).mean(axis=0)
     spread = np.sqrt(exact.violation_probability * (1 - exact.violation_probability) / 400)
     assert np.abs((share - exact.violation_probability) / (spread + 1 / 400)).max() < 4.0
+
+
+def test_on_tables_they_follow_it_exactly() -> None:
+    """Frequencies of paths are exp(beta R) over their sum, of those that avoid the cell."""
+    mdp = Gridworld(width=3, height=3, num_steps=4, step_reward=-1.0)
+    problem = Problem(mdp, mdp.hypotheses(), measure="counting", between_states=False)
+    middle = problem.hypotheses.constraint(4)
+    task = Task(np.array([0.0, 0.0]), np.array([2.0, 2.0]))
+    made = demonstrate(problem, middle, [task] * 600)
+    counts = Counter(tuple(map(tuple, item.states.tolist())) for item in made)
+    assert all((1.0, 1.0) not in path for path in counts)
+    weight = {path: np.exp(-(len(path) - 1.0)) for path in counts}
+    assert sorted(len(path) - 1 for path in counts) == [3, 3, 4, 4, 4, 4, 4, 4]  # all there are
+    expected = 600 * np.array(list(weight.values())) / sum(weight.values())
+    chi_squared = ((np.array(list(counts.values())) - expected) ** 2 / expected).sum()
+    assert chi_squared < 24.3  # 7 degrees of freedom, p = 0.001
+    for item in made[:5]:
+        np.testing.assert_array_equal(np.diff(item.states, axis=0), item.actions)
+
+
+def test_what_cannot_be_drawn_from_is_refused() -> None:
+    problem = short_cart()
+    other = learn(Problem(Pendulum(), grid(theta=(0.0, 6.0, 2))), GRID)
+    for settings, message in [
+        ({"solver": "ppo"}, "solver: expected one of grid, tabular, soft-value .*'ppo'"),
+        ({"solver": 7}, "solver: expected one of grid, tabular, soft-value .*got 7"),
+        ({"solver": GRID, "nominal": other}, "a solver or a nominal, not both"),
+        ({"nominal": other}, "expected one of Cart, got one of Pendulum"),
+        ({"nominal": learn(problem, "enumeration")}, "grid or soft-value learned.*enumeration"),
+        ({"nominal": problem}, "grid or soft-value learned, got"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            demonstrate(problem, WALL, CART_TASK, **settings)
 
 
 def test_a_demonstration_is_what_the_dynamics_make_of_its_actions() -> None:

@@ -106,12 +106,40 @@ def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Pat
         ("made", ("--num", 3, "--tasks", tasks), "--num or --tasks, not both"),
         ("new", ("--tasks", tasks), "more than one demonstration would be '9'"),
         ("made/demo_001.csv/x", (), "cannot write in"),
+        ("new", ("--max-action", 3), "--max-action is for --by optimal-control"),
+        ("new", ("--by", "optimal-control", "--solver", "grid"), "--solver is for --by boltzmann"),
+        ("new", ("--by", "optimal-control", "--max-action", 0), "--max-action: expected a number"),
     ):
         arguments = ("--constraint", 3, "--out", tmp_path / out, *more)
         status, _, said = run("demonstrate", robot, *arguments)
         assert status == 1
         assert message in said
         assert "demonstrating" not in said
+
+
+def test_demonstrate_by_optimal_control(
+    robot: str, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tasks.csv").write_text(
+        "demo,start_theta,start_omega,goal_theta,goal_omega\n0,5,0,5.5,0\n1,5,0,6,0.5\n"
+    )
+    arguments = ("--constraint", CONSTRAINT, "--tasks", tmp_path / "tasks.csv")
+    arguments = ("demonstrate", robot, *arguments, "--by", "optimal-control", "--max-action", "inf")
+    status, printed, said = run(*arguments, "--out", tmp_path / "made")
+    assert status == 0, said
+    assert printed.splitlines()[0].split() == "demonstration reward next best local optima".split()
+    assert len(printed.splitlines()) == 3
+    made = swerve.read_demonstrations(
+        sorted((tmp_path / "made").glob("demo_*.csv")), swerve.Pendulum().space
+    )
+    assert [item.states[0].tolist() for item in made] == [[5.0, 0.0], [5.0, 0.0]]
+    np.testing.assert_allclose(made[1].states[-1], [6.0, 0.5], atol=0.05)
+    for name in ("symbolic", "transcription"):
+        monkeypatch.delitem(sys.modules, f"swerve.demonstrators.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    status, _, said = run(*arguments, "--out", tmp_path / "none")
+    assert status == 1
+    assert "pip install 'swerve[control]'" in said
 
 
 def test_demonstrate_with_tasks_of_ones_own(robot: str, run: Run, tmp_path: Path) -> None:
@@ -125,7 +153,7 @@ def test_demonstrate_with_tasks_of_ones_own(robot: str, run: Run, tmp_path: Path
     assert files == {"demo_left.csv", "demo_9.csv", "tasks.csv"}
     status, _, said = run("demonstrate", robot, *arguments[:2], "--out", "x", "--solver", "ppo")
     assert status == 1
-    assert "expected a swerve.Grid, got PPO(" in said
+    assert "expected one of grid, tabular, soft-value" in said
 
 
 def test_nothing_is_said_to_go_on_without_a_work_folder(

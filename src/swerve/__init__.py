@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         write_demonstrations,
     )
     from swerve.demonstrators.boltzmann import demonstrate
+    from swerve.demonstrators.optimal_control import Optimum, optimal_control
     from swerve.estimators import hoeffding_error, hoeffding_sample_size
     from swerve.evidence import Evidence
     from swerve.foresight import Foresight
@@ -86,6 +87,7 @@ _HOMES = {
     "Monitor": "monitor",
     "Nominal": "nominal",
     "Occupancy": "occupancy",
+    "Optimum": "demonstrators.optimal_control",
     "PPO": "solvers.ppo",
     "Pair": "pairs",
     "Pick": "selection",
@@ -106,6 +108,7 @@ _HOMES = {
     "best_pair": "pairs",
     "animate_course": "course_plots",
     "demonstrate": "demonstrators.boltzmann",
+    "optimal_control": "demonstrators.optimal_control",
     "divergence": "rewards",
     "fit_beta": "temperature",
     "follow": "course",
@@ -157,6 +160,7 @@ __all__ = [
     "Monitor",
     "Nominal",
     "Occupancy",
+    "Optimum",
     "Pair",
     "Pendulum",
     "Pick",
@@ -188,6 +192,7 @@ __all__ = [
     "learn",
     "load_nominal",
     "load_problem",
+    "optimal_control",
     "plot_contributions",
     "plot_course",
     "plot_posterior",

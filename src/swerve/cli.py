@@ -264,7 +264,7 @@ def main() -> None:
         os._exit(130)  # an ordinary exit crashes where JAX is compiling; every file is complete
     except BrokenPipeError:  # whoever read the output, such as head, has seen enough
         sys.stdout = None
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         say(f"swerve: error: {error}")
         sys.exit(1)
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import swerve
 from swerve.cli_options import AsJson, Problem, Tasks, open_work, say
+
+if TYPE_CHECKING:
+    from swerve.demonstrators.optimal_control import Optimum
 
 
 def demonstrate(
@@ -18,19 +22,27 @@ def demonstrate(
     out: Path,
     num: int | None = None,
     tasks: Tasks = None,
-    solver: str = "grid",
+    by: Literal["boltzmann", "optimal-control"] = "boltzmann",
+    solver: str | None = None,
+    max_action: float | None = None,
     seed: int = 0,
 ) -> None:
-    """Make demonstrations that obey one of the hypotheses, by sampling pi_c with the grid solver.
+    """Make demonstrations that obey one of the hypotheses.
 
     Args:
       constraint: Index of the hypothesis to obey.
       out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
       num: How many, of as many tasks drawn from the MDP. [default: 10, or one for each of --tasks]
-      solver: grid, with settings as in 'grid?num_points=81'.
+      by: boltzmann draws from pi_c, what the model holds a demonstrator to do; optimal-control
+        takes the best path, of any actions rather than those of the MDP, that keeps out, and needs
+        the extra 'control' (CasADi, IPOPT).
+      solver: Of boltzmann: grid, tabular or soft-value, with settings as in 'grid?num_points=81'.
+        [default: tabular if the MDP is, else grid]
+      max_action: Of optimal-control: largest action in either direction, inf for any.
+        [default: the range of the MDP's actions]
     """
     from swerve.demonstrations import new_files, read_tasks, write_demonstrations
-    from swerve.demonstrators.boltzmann import demonstrate as draw
+    from swerve.demonstrators import boltzmann, optimal_control
     from swerve.store import check_writable
     from swerve.tasks import draw_tasks
 
@@ -38,6 +50,12 @@ def demonstrate(
         raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
     if num is not None and num < 1:
         raise ValueError(f"--num: expected at least 1, got {num}")
+    if by == "boltzmann" and max_action is not None:
+        raise ValueError("--max-action is for --by optimal-control: leave one of them out")
+    if by == "optimal-control" and solver is not None:
+        raise ValueError("--solver is for --by boltzmann: leave one of them out")
+    if max_action is not None and not max_action > 0.0:
+        raise ValueError(f"--max-action: expected a number > 0, got {max_action}")
     check_writable(out)
     job = open_work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
@@ -49,11 +67,31 @@ def demonstrate(
         batch = draw_tasks(job.problem, num or 10, avoid=[forbidden], seed=seed)
         names = [f"demo_{k:03d}" for k in range(num or 10)]
     new_files(out, names)  # before the work
-    made = draw(job.problem, forbidden, batch, names=names, solver=solver, seed=seed, progress=True)
+    settings = {"names": names, "seed": seed, "progress": True}
+    if by == "boltzmann":
+        made = boltzmann.demonstrate(job.problem, forbidden, batch, solver=solver, **settings)
+    else:
+        limits = None if max_action is None else (-max_action, max_action)
+        optima = optimal_control.optimal_control(
+            job.problem, forbidden, batch, limits=limits, **settings
+        )
+        made = [optimum.demonstration for optimum in optima]
+        _say_of_optima(optima)
     write_demonstrations(
         out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
     )
     say(f"wrote {len(made)} demonstrations that avoid {forbidden.name} to {out}")
+
+
+def _say_of_optima(optima: Sequence[Optimum]) -> None:
+    """Print what was found for each demonstration: local optima, the best taken."""
+    print(f"{'demonstration':<16} {'reward':>10} {'next best':>10} {'local optima':>13}")
+    for optimum in optima:
+        runner_up = f"{optimum.rewards[1]:.4g}" if len(optimum.rewards) > 1 else "-"
+        print(
+            f"{optimum.demonstration.name:<16} {optimum.reward:>10.4g} {runner_up:>10} "
+            f"{len(optimum.rewards):>13}"
+        )
 
 
 def reproduce(

@@ -199,6 +199,31 @@ def clipped(vertices: np.ndarray, limits: np.ndarray) -> np.ndarray:
     return vertices
 
 
+def triangles(vertices: np.ndarray) -> np.ndarray:
+    """Return triangles [.., 3, 2] that make up a polygon [V, 2], their corners going to the left.
+
+    Ears are cut off one after another: corners that turn left, with no other vertex within.
+    """
+    doubled = np.sum(_turn(vertices[0], vertices, np.roll(vertices, -1, axis=0)))
+    left = list(vertices if doubled > 0 else vertices[::-1])
+    found = []
+    while len(left) > 3:
+        ear = min(range(len(left)), key=lambda k: _is_blocked(left, k))
+        found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
+        del left[ear]
+    cut = np.array([*found, left])
+    return cut[_turn(*np.moveaxis(cut, 1, 0)) > 0]  # none that a vertex on an edge makes
+
+
+def _is_blocked(corners: list[np.ndarray], k: int) -> bool:
+    """Return whether corner k of a polygon that goes to the left is no ear."""
+    a, b, c = corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
+    ends = {(k - 1) % len(corners), k, (k + 1) % len(corners)}
+    others = np.array([corner for j, corner in enumerate(corners) if j not in ends])
+    within = (_turn(a, b, others) >= 0) & (_turn(b, c, others) >= 0) & (_turn(c, a, others) >= 0)
+    return bool(_turn(a, b, c) < 0) or bool(within.any())
+
+
 def cut_off(vertices: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
     """Return what of a polygon [V, 2] has normal . point >= offset, no vertex if nothing has."""
     height = vertices @ normal - offset

@@ -2,16 +2,18 @@
 
     pi_c(xi) = m(xi) exp(beta R(xi)) 1[xi avoids c] / Z_c
 
-The grid solver is run with c in force, so its policy never enters c and its trajectories already
-follow pi_c nearly. One of 512 is then drawn by importance weight, which takes what the policy is
-off down to the order of one over their effective sample size.
+A solver that is run with c in force, or goes on from a nominal with c in force, gives a policy that
+never enters c. On tables it is pi_c. Elsewhere its trajectories follow pi_c nearly, and one of many
+is drawn by importance weight; where too few of these count, one of the particles of sequential
+Monte Carlo. That takes what the policy is off down to the order of one over their effective sample
+size.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -21,16 +23,23 @@ from swerve import estimators
 from swerve.arguments import instance, whole_number
 from swerve.constraints import Constraint
 from swerve.demonstrations import Demonstration
-from swerve.nominal import PolicyNominal, learn, resolve_solver
+from swerve.look_ahead import ValuedPolicy
+from swerve.nominal import Nominal, PolicyNominal, Solver, learn, resolve_solver
 from swerve.problem import Problem
 from swerve.progress import progress_bar
-from swerve.samples import log_weights
-from swerve.solvers.grid import Grid
+from swerve.resolving import AdaptingSolver
+from swerve.samples import ADAPTING_SOLVERS, NUM_ISLANDS, log_weights
+from swerve.smc import smc_rollout
+from swerve.solvers.tabular import TableNominal
 from swerve.space import Task
+from swerve.systems.tabular import TabularMDP
 from swerve.tasks import checked_tasks
-from swerve.trajectory import rollout
+from swerve.trajectory import Policy, Trajectory, rollout
 
+SOLVERS = ("grid", "tabular", "soft-value")
 NUM_CANDIDATES = 512
+ENOUGH = 0.5  # of the candidates: where fewer are effective, particles are resampled instead
+NUM_PARTICLES = 100  # of an island
 LEAST_ESS = 50.0
 STREAM = zlib.crc32(b"demonstrations")  # a seed that tasks were drawn with gives other numbers here
 
@@ -41,7 +50,8 @@ def demonstrate(
     tasks: Task | Sequence[Task],
     *,
     names: Sequence[str] | None = None,
-    solver: str | Grid = "grid",
+    solver: str | Solver | None = None,
+    nominal: Nominal | None = None,
     seed: int = 0,
     progress: bool = False,
 ) -> list[Demonstration]:
@@ -52,7 +62,11 @@ def demonstrate(
       constraint: c, which the demonstrations obey.
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
       names: what to call the demonstrations; demo_000 and so on if None.
-      solver: the grid on which pi_c is worked out, or a text such as "grid?num_points=81".
+      solver: how pi_c is worked out, as for `learn`: "tabular", whose demonstrations are drawn from
+        pi_c exactly, "grid" or "soft-value", with settings as in "grid?num_points=81"; tables if
+        the MDP is tabular, else a grid, if None.
+      nominal: what "grid" or "soft-value" learned of the same MDP without the constraint, to go on
+        from in place of a solver.
       seed: of the drawing.
       progress: whether to show a progress bar.
 
@@ -61,11 +75,9 @@ def demonstrate(
 
     Raises:
       ValueError: if a start lies inside the constraint, a task cannot be done without entering, or
-        the solver is no Grid.
+        the solver or the nominal is of another kind.
     """
     instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
-    chosen = resolve_solver(solver) if isinstance(solver, str) else solver
-    instance(chosen, Grid, "solver", "pi_c is worked out on a grid")
     seed = whole_number(seed, "seed", 0)
     batch = checked_tasks(problem, tasks)
     for k in np.flatnonzero(constraint.contains(batch.start, problem.mdp.space)):
@@ -77,37 +89,122 @@ def demonstrate(
     labels = [f"demo_{k:03d}" for k in range(len(batch.start))] if names is None else list(names)
     if len(labels) != len(batch.start):
         raise ValueError(f"names: expected {len(batch.start)}, one a task, got {len(labels)}")
-    nominal = learn(constrained, chosen)
-    assert isinstance(nominal, PolicyNominal)
+    sources = _sources(constrained, solver, nominal, seed)
     stream = jax.random.fold_in(jax.random.key(seed), STREAM)
-    goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     found: dict[int, Demonstration] = {}
-    with progress_bar("demonstrating", len(batch.start), progress) as advance:
-        for goal, policy in enumerate(nominal.policies(goals)):
-            for k in np.flatnonzero(goal_of_task.reshape(-1) == goal):
-                task = Task(batch.start[k], batch.goal[k])
-                key = jax.random.fold_in(stream, int(k))
-                found[int(k)] = _draw(constrained, policy, task, key, labels[k])
+    with progress_bar("demonstrating", len(labels), progress) as advance:
+        for source in sources:
+            for k, made in _drawn(source, batch, labels, found, stream):
+                found[k] = made
                 advance(1)
+            if len(found) == len(labels):
+                break
+        else:
+            _refuse(constrained, batch, labels, found)
     return [found[k] for k in sorted(found)]
 
 
-def _draw(problem: Problem, policy, task: Task, key: jax.Array, name: str) -> Demonstration:
-    """Draw one trajectory of pi_c by weight from many candidates."""
+def _sources(
+    constrained: Problem, solver: str | Solver | None, nominal: Nominal | None, seed: int
+) -> Iterable[Nominal]:
+    """Return nominals with the constraint in force, ever better ones."""
+    if nominal is not None:
+        if solver is not None:
+            raise ValueError("give a solver or a nominal, not both")
+        adapting = getattr(nominal, "solver", None)
+        if not isinstance(adapting, AdaptingSolver):
+            raise ValueError(
+                f"nominal: expected one that {' or '.join(ADAPTING_SOLVERS)} learned, got "
+                f"{getattr(adapting, 'name', nominal)!r}"
+            )
+        if type(nominal.problem.mdp) is not type(constrained.mdp):
+            raise ValueError(
+                f"nominal: expected one of {type(constrained.mdp).__name__}, got one of "
+                f"{type(nominal.problem.mdp).__name__}"
+            )
+        return adapting.adapted(nominal, constrained, seed)
+    if solver is None:
+        solver = "tabular" if isinstance(constrained.mdp, TabularMDP) else "grid"
+    chosen = resolve_solver(solver) if isinstance(solver, str) else solver
+    name = getattr(chosen, "name", None)
+    if name not in SOLVERS:
+        raise ValueError(
+            f"solver: expected one of {', '.join(SOLVERS)} to draw demonstrations with, got "
+            f"{name or solver!r}"
+        )
+    return [learn(constrained, chosen, seed=seed)]
+
+
+def _drawn(
+    source: Nominal,
+    batch: Task,
+    labels: list[str],
+    found: dict[int, Demonstration],
+    stream: jax.Array,
+) -> Iterator[tuple[int, Demonstration]]:
+    """Yield demonstrations, as far as they can be drawn, of tasks that have none yet."""
+    left = np.array([k for k in range(len(labels)) if k not in found])
+    if isinstance(source, TableNominal):
+        for k in left.tolist():
+            key = jax.random.fold_in(stream, k)
+            task = Task(batch.start[k], batch.goal[k])
+            made = _from_table(source, task, key, labels[k])
+            if made is not None:
+                yield k, made
+        return
+    assert isinstance(source, PolicyNominal)
+    goals, goal_of_task = np.unique(batch.goal[left], axis=0, return_inverse=True)
+    for goal, policy in enumerate(source.policies(goals)):
+        for k in left[goal_of_task.reshape(-1) == goal].tolist():
+            key = jax.random.fold_in(stream, k)
+            task = Task(batch.start[k], batch.goal[k])
+            made = _from_policy(source.problem, policy, task, key, labels[k])
+            if made is not None:
+                yield k, made
+
+
+def _from_table(
+    source: TableNominal, task: Task, key: jax.Array, name: str
+) -> Demonstration | None:
+    """Draw one trajectory of pi_c itself; None where nothing avoids c."""
+    start, table = source.start(task), source.goal_table(task.goal, ())
+    if not np.isfinite(table.values[0, start]):
+        return None
+    generator = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    states, actions, length = table.draw(start, 1, generator)
+    mdp, num = source.problem.mdp, int(length[0])
+    return Demonstration(
+        name,
+        source.table.states[states[0, : num + 1]],
+        task,
+        times=np.arange(num + 1) * mdp.dt,
+        actions=np.asarray(mdp.actions)[actions[0, :num]],
+    )
+
+
+def _from_policy(
+    problem: Problem, policy: Policy, task: Task, key: jax.Array, name: str
+) -> Demonstration | None:
+    """Draw one trajectory of pi_c by weight from many; None where too few of them count."""
     key_rollout, key_choice = jax.random.split(key)
     start, goal = (jnp.asarray(values, jnp.float32) for values in task)
     candidates = rollout(problem, policy, start, goal, key_rollout, NUM_CANDIDATES)
     log_weight = log_weights(problem.record, candidates)
-    effective = 0.0
-    if np.isfinite(log_weight).any():
-        effective = estimators.effective_sample_size(log_weight)
-    if effective < LEAST_ESS:
-        raise ValueError(
-            f"{name}: from start {task.start.tolist()} to goal {task.goal.tolist()} hardly any "
-            f"trajectory avoids {', '.join(c.name for c in problem.known)} (effective sample size "
-            f"{effective:.0f} of {NUM_CANDIDATES}): choose another task, or a finer grid"
-        )
-    chosen = int(jax.random.choice(key_choice, NUM_CANDIDATES, p=estimators.normalise(log_weight)))
+    if _effective(log_weight, np.arange(NUM_CANDIDATES)) < ENOUGH * NUM_CANDIDATES:
+        assert isinstance(policy, ValuedPolicy)
+        particles = smc_rollout(policy, start, goal, key_rollout, NUM_ISLANDS, NUM_PARTICLES)
+        candidates, log_weight = particles.trajectory, np.asarray(particles.log_weight, float)
+        island = np.arange(len(log_weight)) // NUM_PARTICLES
+        if _effective(log_weight, island * NUM_PARTICLES + np.asarray(particles.root)) < LEAST_ESS:
+            return None
+    p = estimators.normalise(log_weight)
+    return _told(problem, candidates, int(jax.random.choice(key_choice, len(p), p=p)), task, name)
+
+
+def _told(
+    problem: Problem, candidates: Trajectory, chosen: int, task: Task, name: str
+) -> Demonstration:
+    """Return one of many trajectories as a demonstration."""
     length = int(candidates.length[chosen])
     actions = np.asarray(problem.mdp.actions)[np.asarray(candidates.actions[:length, chosen])]
     return Demonstration(
@@ -116,4 +213,24 @@ def _draw(problem: Problem, policy, task: Task, key: jax.Array, name: str) -> De
         task,
         times=np.arange(length + 1) * problem.mdp.dt,
         actions=actions,
+    )
+
+
+def _effective(log_weight: np.ndarray, group: np.ndarray) -> float:
+    """Return the effective sample size, 0 where nothing avoids c."""
+    if not np.isfinite(log_weight).any():
+        return 0.0
+    return estimators.effective_sample_size(log_weight, group)
+
+
+def _refuse(
+    problem: Problem, batch: Task, labels: list[str], found: dict[int, Demonstration]
+) -> None:
+    """Raise ValueError naming the first task that has no demonstration."""
+    k = next(k for k in range(len(labels)) if k not in found)
+    raise ValueError(
+        f"{labels[k]}: from start {batch.start[k].tolist()} to goal {batch.goal[k].tolist()} "
+        f"hardly any trajectory avoids {', '.join(c.name for c in problem.known)} (effective "
+        f"sample size below {LEAST_ESS:.0f} of {NUM_ISLANDS * NUM_PARTICLES}): choose another "
+        "task, or a finer grid"
     )

@@ -1,0 +1,246 @@
+"""Functions written with jax.numpy as CasADi expressions, for solvers that want exact derivatives.
+
+JAX traces a function of vectors into a list of elementary operations, the jaxpr. Each is done here
+on arrays of CasADi scalars instead of numbers:
+
+    arithmetic     one CasADi operation for each element,
+    rearrangement  done by JAX on the positions of the elements, which are then picked,
+    calls, loops   their bodies in turn, loops of fixed length unrolled.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+ELEMENTWISE: dict[str, Callable[..., Any]] = {
+    "abs": casadi.fabs,
+    "acos": casadi.acos,
+    "add": operator.add,
+    "add_any": operator.add,
+    "and": casadi.logic_and,
+    "asin": casadi.asin,
+    "atan": casadi.atan,
+    "atan2": casadi.atan2,
+    "ceil": casadi.ceil,
+    "cos": casadi.cos,
+    "cosh": casadi.cosh,
+    "div": operator.truediv,
+    "eq": casadi.eq,
+    "exp": casadi.exp,
+    "floor": casadi.floor,
+    "ge": casadi.ge,
+    "gt": casadi.gt,
+    "le": casadi.le,
+    "log": casadi.log,
+    "log1p": casadi.log1p,
+    "lt": casadi.lt,
+    "max": casadi.fmax,
+    "min": casadi.fmin,
+    "mul": operator.mul,
+    "ne": casadi.ne,
+    "neg": operator.neg,
+    "not": casadi.logic_not,
+    "or": casadi.logic_or,
+    "pow": operator.pow,
+    "rem": casadi.fmod,
+    "round": lambda value: casadi.floor(value + 0.5),
+    "rsqrt": lambda value: 1.0 / casadi.sqrt(value),
+    "select_n": lambda which, *cases: casadi.if_else(which, cases[1], cases[0]),
+    "sign": casadi.sign,
+    "sin": casadi.sin,
+    "sinh": casadi.sinh,
+    "sqrt": casadi.sqrt,
+    "square": lambda value: value * value,
+    "sub": operator.sub,
+    "tan": casadi.tan,
+    "tanh": casadi.tanh,
+}
+SAME = ("convert_element_type", "copy", "reduce_precision", "stop_gradient")
+REARRANGING = (
+    "broadcast_in_dim",
+    "concatenate",
+    "dynamic_slice",
+    "expand_dims",
+    "gather",
+    "reshape",
+    "rev",
+    "slice",
+    "split",
+    "squeeze",
+    "stack",
+    "transpose",
+)
+REDUCING: dict[str, Callable[[Any, Any], Any]] = {
+    "reduce_max": casadi.fmax,
+    "reduce_min": casadi.fmin,
+    "reduce_prod": operator.mul,
+    "reduce_sum": operator.add,
+}
+INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # what calls name the function that they call
+
+
+def as_casadi(function: Callable[..., Any], sizes: Sequence[int], label: str) -> casadi.Function:
+    """Return a function of vectors, written with jax.numpy, as a CasADi function.
+
+    Args:
+      function: maps vectors to one array of numbers, which is flattened.
+      sizes: of the vectors.
+      label: what messages call it.
+
+    Raises:
+      ValueError: if it does something that there is no CasADi expression for.
+    """
+    shapes = [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes]
+    closed = jax.make_jaxpr(function)(*shapes)
+    symbols = [casadi.SX.sym(f"x{k}", size) for k, size in enumerate(sizes)]
+    arguments = [_elements(symbol, size) for symbol, size in zip(symbols, sizes, strict=True)]
+    try:
+        (value,) = _evaluate(closed.jaxpr, closed.consts, arguments)
+    except NotImplementedError as error:
+        raise ValueError(
+            f"{label}: expected operations of jax.numpy that have exact derivatives, but it uses "
+            f"{error}: write it with arithmetic, jnp.where and loops of a fixed length"
+        ) from None
+    return casadi.Function("f", symbols, [casadi.vertcat(*_array(value).ravel().tolist())])
+
+
+def _elements(symbol: casadi.SX, size: int) -> np.ndarray:
+    """Return the elements of a CasADi vector as an array."""
+    return _objects([symbol[k] for k in range(size)], (size,))
+
+
+def _objects(values: Sequence[Any], shape: tuple[int, ...]) -> np.ndarray:
+    """Return an array of CasADi scalars and numbers."""
+    array = np.empty(len(values), object)
+    for k, value in enumerate(values):
+        array[k] = value
+    return array.reshape(shape)
+
+
+def _evaluate(jaxpr: Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
+    """Return what a jaxpr makes of arrays of numbers or of CasADi scalars."""
+    known: dict[Any, Any] = {}
+
+    def read(variable: Any) -> Any:
+        return variable.val if isinstance(variable, Literal) else known[variable]
+
+    known.update(zip(jaxpr.constvars, constants, strict=True))
+    known.update(zip(jaxpr.invars, arguments, strict=True))
+    for step in jaxpr.eqns:
+        values = _apply(step, [read(variable) for variable in step.invars])
+        known.update(zip(step.outvars, values, strict=True))
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _apply(step: Any, operands: list[Any]) -> Sequence[Any]:
+    """Return the results of one operation.
+
+    Raises:
+      NotImplementedError: with its name, if there is no CasADi expression for it.
+    """
+    name, options = step.primitive.name, step.params
+    if not any(_is_symbolic(operand) for operand in operands):
+        results = step.primitive.bind(*operands, **options)
+        return results if step.primitive.multiple_results else [results]
+    if name in ELEMENTWISE:
+        return [_elementwise(ELEMENTWISE[name], operands)]
+    if name == "integer_pow":
+        return [_elementwise(lambda value: value ** options["y"], operands)]
+    if name in SAME:
+        return operands[:1]
+    if name in REARRANGING:
+        return _rearranged(step, operands)
+    if name in REDUCING:
+        axes = tuple(options["axes"])
+        return [_reduced(REDUCING[name], _array(operands[0]), axes)]
+    if name == "dot_general":
+        return [_product(*map(_array, operands), *options["dimension_numbers"])]
+    if name == "scan":
+        return _scanned(operands, **options)
+    inner = next((options[key] for key in INNER if key in options), None)
+    if isinstance(inner, ClosedJaxpr):
+        return _evaluate(inner.jaxpr, inner.consts, operands)
+    raise NotImplementedError(name)
+
+
+def _is_symbolic(operand: Any) -> bool:
+    return isinstance(operand, np.ndarray) and operand.dtype == object
+
+
+def _array(operand: Any) -> np.ndarray:
+    """Return an operand as an array of CasADi scalars and numbers."""
+    if _is_symbolic(operand):
+        return operand
+    numbers = np.asarray(operand)
+    return _objects(numbers.ravel().tolist(), numbers.shape)
+
+
+def _elementwise(function: Callable[..., Any], operands: Sequence[Any]) -> np.ndarray:
+    arrays = np.broadcast_arrays(*map(_array, operands))
+    values = [function(*items) for items in zip(*(a.ravel() for a in arrays), strict=True)]
+    return _objects(values, arrays[0].shape)
+
+
+def _rearranged(step: Any, operands: Sequence[Any]) -> list[np.ndarray]:
+    """Return elements in another order: JAX moves their positions."""
+    pool: list[Any] = []
+    moved = []
+    for operand in operands:
+        if not _is_symbolic(operand) and np.issubdtype(np.asarray(operand).dtype, np.integer):
+            moved.append(operand)  # where to look, not what to take
+            continue
+        items = _array(operand)
+        moved.append(jnp.arange(len(pool), len(pool) + items.size).reshape(items.shape))
+        pool += items.ravel().tolist()
+    results = step.primitive.bind(*moved, **step.params)
+    results = results if step.primitive.multiple_results else [results]
+    return [_objects([pool[k] for k in np.ravel(place)], place.shape) for place in results]
+
+
+def _reduced(
+    function: Callable[[Any, Any], Any], array: np.ndarray, axes: tuple[int, ...]
+) -> np.ndarray:
+    """Return an array with some axes taken together."""
+    kept = [axis for axis in range(array.ndim) if axis not in axes]
+    shape = tuple(array.shape[axis] for axis in kept)
+    rows = array.transpose(*kept, *axes).reshape(int(np.prod(shape)), -1)
+    return _objects([functools.reduce(function, row) for row in rows], shape)
+
+
+def _product(left: np.ndarray, right: np.ndarray, summed: Any, batched: Any) -> np.ndarray:
+    """Return a product of matrices or vectors."""
+    if any(len(axes) for axes in batched):
+        raise NotImplementedError("a batched dot_general")
+    return np.asarray(np.tensordot(left, right, summed), object)
+
+
+def _scanned(
+    operands: list[Any],
+    *,
+    jaxpr: ClosedJaxpr,
+    length: int,
+    reverse: bool,
+    num_consts: int,
+    num_carry: int,
+    **_: Any,
+) -> list[Any]:
+    """Return what a loop of fixed length makes of its operands."""
+    fixed, carry = operands[:num_consts], operands[num_consts : num_consts + num_carry]
+    rows = operands[num_consts + num_carry :]
+    outputs = []
+    for k in range(length)[:: -1 if reverse else 1]:
+        now = [row[k : k + 1].reshape(row.shape[1:]) for row in rows]
+        results = _evaluate(jaxpr.jaxpr, jaxpr.consts, [*fixed, *carry, *now])
+        carry = results[:num_carry]
+        outputs.append([_array(result) for result in results[num_carry:]])
+    stacked = [np.stack(column) for column in zip(*outputs[:: -1 if reverse else 1], strict=True)]
+    return [*carry, *stacked]
