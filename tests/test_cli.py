@@ -127,7 +127,14 @@ def test_demonstrate_by_optimal_control(
     arguments = ("demonstrate", robot, *arguments, "--by", "optimal-control", "--max-action", "inf")
     status, printed, said = run(*arguments, "--out", tmp_path / "made")
     assert status == 0, said
-    assert printed.splitlines()[0].split() == "demonstration reward next best local optima".split()
+    assert printed.splitlines()[0].split() == [
+        "demonstration",
+        "reward",
+        "next",
+        "best",
+        "local",
+        "optima",
+    ]
     assert len(printed.splitlines()) == 3
     made = swerve.read_demonstrations(
         sorted((tmp_path / "made").glob("demo_*.csv")), swerve.Pendulum().space

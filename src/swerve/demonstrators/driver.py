@@ -1,0 +1,201 @@
+"""Human-like drivers of the car, who know nothing of a reward.
+
+A driver follows a point of the lane that is `preview` ahead, as it was `reaction_time` ago, and
+corrects the course every `hold` seconds, never quite as meant:
+
+    turn = gain (atan2(x_aim - x, preview v) - heading),   executed (1 + noise e) turn + noise e',
+
+e and e' standard normal. An obstacle comes into view at `sight`; the driver then brakes, begins to
+steer when `steering_time` is left, passes with some clearance, goes back to the lane and speeds up
+again. Who finds that the obstacle is near and the way not yet clear brakes hard. No two drivers are
+alike. One who hits the obstacle drives again; one who leaves the track has left it.
+
+Lengths in m, times in s, angles in rad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from swerve.arguments import instance, whole_number
+from swerve.boxes import Box
+from swerve.constraints import violates
+from swerve.demonstrations import Demonstration
+from swerve.space import Task
+from swerve.systems.car import ACCELERATIONS, TRACK, TURN_RATES, Car
+
+TURN_GAIN = 2.5  # rad/s per rad
+SPEED_GAIN = 2.0  # m/s2 per m/s
+CREEP = 0.3  # m/s, of who has to brake hard
+TIGHT = 0.8  # s to the obstacle: who is not clear of it by then brakes hard
+START = (0.0, 0.0, 0.0, 1.0)  # m, m, rad, m/s: in the lane, along it
+FAST = 1.2  # times the speed past the obstacle: who is faster brakes before steering
+LAST = 1.3  # m to the obstacle, where everybody steers
+LEAST_PREVIEW = 0.25  # m: nobody looks closer than this
+
+
+@dataclass(frozen=True)
+class Driver:
+    """What one driver is like.
+
+    Attributes:
+      lane: x that is kept to where nothing is in the way.
+      speed: with nothing in the way [m/s].
+      slow: speed past the obstacle [m/s].
+      sight: how far away an obstacle is seen.
+      reaction_time: how old what is acted upon is.
+      hold: time between two corrections.
+      preview: how far ahead the point is that is steered to [s].
+      steering_time: to the obstacle, when steering begins.
+      clearance: to the obstacle's side that is aimed at.
+      past: how far beyond the obstacle before going back.
+      noise: of corrections, a share of them, and of a tenth of the largest.
+    """
+
+    lane: float
+    speed: float
+    slow: float
+    sight: float
+    reaction_time: float
+    hold: float
+    preview: float
+    steering_time: float
+    clearance: float
+    past: float
+    noise: float
+
+
+def draw_driver(generator: np.random.Generator) -> Driver:
+    """Return a driver like no other."""
+    return Driver(
+        lane=generator.normal(0.0, 0.02),
+        speed=generator.uniform(0.9, 1.4),
+        slow=generator.uniform(0.45, 0.75),
+        sight=generator.uniform(2.5, 4.0),
+        reaction_time=generator.uniform(0.2, 0.4),
+        hold=generator.uniform(0.1, 0.3),
+        preview=generator.uniform(0.7, 1.0),
+        steering_time=generator.uniform(2.2, 3.2),
+        clearance=generator.uniform(0.08, 0.2),
+        past=generator.uniform(0.0, 0.3),
+        noise=generator.uniform(0.1, 0.3),
+    )
+
+
+def drives(
+    mdp: Car, obstacle: Box | None = None, num: int = 50, *, seed: int = 0
+) -> list[Demonstration]:
+    """Return drives along the track, each by another driver, all from START.
+
+    Args:
+      mdp: the car.
+      obstacle: a box in x and y that is in the way; nothing if None.
+      num: how many.
+      seed: of drivers and their noise.
+
+    Returns:
+      Demonstrations drive_00 and so on with times and actions, turn rates and accelerations within
+      the car's limits, until the goal line, the edge of the track or the horizon is reached. None
+      enters the obstacle.
+
+    Raises:
+      ValueError: if the obstacle is not a box in x and y, or leaves no way past.
+    """
+    instance(mdp, Car, "mdp", "drivers drive swerve.Car()")
+    num, seed = whole_number(num, "num", 1), whole_number(seed, "seed", 0)
+    if obstacle is not None:
+        _check_obstacle(obstacle)
+    step, task = jax.jit(mdp.dynamics), Task(np.array(START), np.zeros(0))
+    found = []
+    for k in range(num):
+        generator = np.random.default_rng([seed, k])
+        states, actions = _safely(mdp, step, draw_driver(generator), obstacle, generator)
+        times = np.arange(len(states)) * mdp.dt
+        name = f"drive_{k:0{len(str(num - 1))}d}"
+        found.append(Demonstration(name, states, task, times=times, actions=actions))
+    return found
+
+
+def _check_obstacle(obstacle: Box) -> None:
+    if not isinstance(obstacle, Box) or set(obstacle.intervals) != {"x", "y"}:
+        raise ValueError(
+            f"obstacle: expected a box in x and y, as in swerve.Box(x=(-0.3, 0.2), y=(6.7, 7.4)), "
+            f"got {getattr(obstacle, 'name', obstacle)}"
+        )
+    low, high = obstacle.intervals["x"]
+    if max(low - TRACK[0], TRACK[1] - high) < 0.25:
+        raise ValueError(
+            f"obstacle: expected 0.25 m of the track, {TRACK[0]} to {TRACK[1]} m, left beside it, "
+            f"got {obstacle.name}: make it narrower"
+        )
+
+
+def _safely(
+    mdp: Car, step, driver: Driver, obstacle: Box | None, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a drive that does not enter the obstacle."""
+    while True:
+        states, actions = _drive(mdp, step, driver, obstacle, generator)
+        if obstacle is None or not violates(obstacle, states, mdp.space, True):
+            return states, actions
+
+
+def _drive(
+    mdp: Car,
+    step,
+    driver: Driver,
+    obstacle: Box | None,
+    generator: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states [L, 4] and actions [L-1, 2] of one drive."""
+    late = max(1, round(driver.reaction_time / mdp.dt))
+    every = max(1, round(driver.hold / mdp.dt))
+    states, actions = [np.array(START)], []
+    seen = deque(states * (late + 1), maxlen=late + 1)
+    limits = np.array([TURN_RATES[-1], ACCELERATIONS[-1]])
+    action = np.zeros(2)
+    for t in range(mdp.num_steps):
+        if t % every == 0:
+            meant = np.clip(_meant(driver, obstacle, seen[0]), -limits, limits)
+            share, more = driver.noise * generator.normal(size=(2, 2))
+            action = np.clip(meant * (1.0 + share) + 0.1 * limits * more, -limits, limits)
+        actions.append(action)
+        states.append(np.asarray(step(jnp.asarray(states[-1]), jnp.asarray(action)), float))
+        seen.append(states[-1])
+        if bool(mdp.terminated(jnp.asarray(states[-1]), jnp.zeros(0))):
+            break
+    return np.stack(states), np.stack(actions)
+
+
+def _meant(driver: Driver, obstacle: Box | None, state: np.ndarray) -> np.ndarray:
+    """Return the turn rate and acceleration that a driver means to take in a state."""
+    aim, speed = driver.lane, driver.speed
+    if obstacle is not None:
+        aim, speed = _around(driver, obstacle, state)
+    x, _, heading, now = state
+    heading = (heading + math.pi) % (2.0 * math.pi) - math.pi
+    towards = math.atan2(aim - x, max(driver.preview * now, LEAST_PREVIEW))
+    return np.array([TURN_GAIN * (towards - heading), SPEED_GAIN * (speed - now)])
+
+
+def _around(driver: Driver, obstacle: Box, state: np.ndarray) -> tuple[float, float]:
+    """Return the x to aim for and the speed to have, with an obstacle on the track."""
+    x, y, _, now = state
+    (low, high), (front, back) = obstacle.intervals["x"], obstacle.intervals["y"]
+    to_go = front - y
+    if to_go > driver.sight or y > back + driver.past:
+        return driver.lane, driver.speed
+    is_left = low - TRACK[0] > TRACK[1] - high
+    aim = low - driver.clearance if is_left else high + driver.clearance
+    is_fast = now > FAST * driver.slow and to_go > LAST
+    if is_fast or to_go > driver.steering_time * max(now, CREEP):
+        return driver.lane, driver.slow
+    is_clear = x < low if is_left else x > high
+    is_tight = to_go < TIGHT * max(now, CREEP) and not is_clear
+    return aim, CREEP if is_tight else driver.slow
