@@ -40,14 +40,14 @@ from rich.table import Table
 from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, sample
 from swerve.estimators import kl_divergence
 from swerve.inference import SCORES
+from swerve.reproduce.pendulum import LEAST_SURVIVAL, read_violation
+from swerve.reproduce.ranks import NOISE, Judged, ranks
 from swerve.samples import METHODS, REWEIGHED, summarise
 from swerve.specification import Specification, load_problem
 from swerve.work import RESULTS, Settings, Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
 NUM_SUBSETS = 2_000
-SURVIVAL_FLOOR = 1e-4
-NOISE = 5e-4  # 5 trajectories in 10,000, below which both the files and samples are chance
 CURVE_STYLES: dict[str, dict[str, Any]] = {
     "exact file": {"ls": ":", "lw": 1.2},
     "exact file above noise": {"ls": "-", "lw": 1.2},
@@ -99,7 +99,7 @@ def measure_setting(
     evidence = evidence.select(order)
     return Setting(
         max_torque,
-        read_exact(path, demonstrations),
+        read_violation(path, demonstrations),
         evidence,
         reference_log_partition(text, evidence),
         None if stored else seconds,
@@ -113,14 +113,6 @@ def holds_results(folder: Path | None, solver: str) -> bool:
     name = quote(str(Specification.parse(solver)), safe="=")
     files = [path.name for pattern in RESULTS for path in folder.glob(pattern)]
     return any(file.startswith(f"{name}.") for file in files)
-
-
-def read_exact(path: Path, demonstrations: list[Any]) -> np.ndarray:
-    """Return exact violation probabilities [K, H] in the order of the demonstrations."""
-    with path.open() as file:
-        rows = {row[0]: row[1:] for row in (line.strip().split(",") for line in file)}
-    names = [demonstration.name.removeprefix("demo_") for demonstration in demonstrations]
-    return np.array([rows[name] for name in names], float)
 
 
 def reference_log_partition(text: str, evidence: Evidence) -> np.ndarray:
@@ -170,7 +162,7 @@ def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dic
     if evidence.method in REWEIGHED:
         avoid = summarise(evidence.problem, evidence.samples, "plain").avoid_probability
         plain = -np.log(np.maximum(avoid, 1.0 / evidence.num_trajectories)).sum(axis=0)
-    exact = -np.log(np.maximum(1.0 - setting.exact, SURVIVAL_FLOOR)).sum(axis=0)
+    exact = -np.log(np.maximum(1.0 - setting.exact, LEAST_SURVIVAL)).sum(axis=0)
     chosen = list(result.ranking[:5])
     if truth not in chosen:
         chosen.append(truth)
@@ -203,10 +195,12 @@ def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict
     }
     rows = []
     for source, probability in violation.items():
-        nats = -np.log(np.maximum(1.0 - probability, SURVIVAL_FLOOR))
+        nats = -np.log(np.maximum(1.0 - probability, LEAST_SURVIVAL))
         for score, values in zip(SCORES, (nats, probability), strict=True):
             for size in [size for size in SIZES if size <= len(demonstrations)]:
-                rank = _ranks(values, result.entered, truth, size)
+                generator = np.random.default_rng(0)
+                said = Judged(values, result.entered)
+                rank = ranks(said, truth, size, NUM_SUBSETS, generator)
                 rows.append(
                     {
                         "max_torque": setting.max_torque,
@@ -224,18 +218,6 @@ def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict
 def _above_noise(probability: np.ndarray) -> np.ndarray:
     """Return probabilities with 0 for those that a handful of trajectories decides."""
     return np.where(probability < NOISE, 0.0, probability)
-
-
-def _ranks(values: np.ndarray, entered: np.ndarray, truth: int, size: int) -> np.ndarray:
-    """Return the rank of the truth for each of NUM_SUBSETS random subsets, ties counted half."""
-    generator = np.random.default_rng(0)
-    ranks = np.empty(NUM_SUBSETS)
-    for k in range(NUM_SUBSETS):
-        subset = generator.choice(len(values), size, replace=False)
-        total = np.where(entered[subset].any(axis=0), -np.inf, values[subset].sum(axis=0))
-        ties = np.count_nonzero(total == total[truth]) - 1
-        ranks[k] = 1 + np.count_nonzero(total > total[truth]) + 0.5 * ties
-    return ranks
 
 
 def print_rows(title: str, rows: list[dict[str, Any]], console: Console) -> None:

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from accuracy import read_exact
 from rich.console import Console
 from rich.table import Table
 
 from swerve import Demonstration, Discrete, Problem, infer, load_problem, sample
 from swerve.progress import progress_bar
+from swerve.reproduce.pendulum import read_violation
 
 CELLS = (30, 60, 120)  # along each axis
 HOLDS = (3, 6, 12, 20)  # steps of 1/60 s
@@ -107,7 +107,7 @@ def main() -> None:
     if arguments.quick:
         demonstrations, settings = demonstrations[:8], settings[:6:2]
     path = arguments.data / f"exact_violation_torque{arguments.torque}.csv"
-    exact = read_exact(path, demonstrations)
+    exact = read_violation(path, demonstrations)
     rows = []
     with progress_bar("sweeping", len(settings), True) as advance:
         for cells, hold, rule in settings:

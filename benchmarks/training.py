@@ -24,11 +24,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from accuracy import NUM_REFERENCE, print_rows, read_exact
+from accuracy import NUM_REFERENCE, print_rows
 from rich.console import Console
 
 from swerve import PPO, Grid, Problem, SoftValue, Task, learn, read_demonstrations, sample
 from swerve.estimators import kl_divergence
+from swerve.reproduce.pendulum import read_violation
 from swerve.solvers.training import NUM_CHUNKS, TrainedNominal, TrainingSolver
 from swerve.solvers.training_run import Progress, Run
 from swerve.specification import load_problem
@@ -71,7 +72,7 @@ def read_truth(folder: Path, torque: str) -> Truth:
     files = sorted(folder.glob("demo_*.csv"))
     demonstrations = read_demonstrations(files, problem.mdp.space, tasks=folder / "tasks.csv")
     tasks = Task.stack([demonstration.task for demonstration in demonstrations])
-    violation = read_exact(path, demonstrations)
+    violation = read_violation(path, demonstrations)
     return Truth(problem, tasks, violation, exact_log_partition(problem, tasks))
 
 

@@ -18,7 +18,7 @@ import cyclopts
 from cyclopts import Parameter
 
 import swerve
-from swerve import cli_making
+from swerve import cli_making, cli_reproduce
 from swerve.cli_options import (
     AS_BEFORE,
     AS_USUAL,
@@ -250,7 +250,7 @@ def demo(*, work: WorkFolder = None, report: Path = Path("swerve-demo.html")) ->
     infer(PROBLEM, *files, tasks=FOLDER / "tasks.csv", work=work, report=report)
 
 
-for command in (cli_making.demonstrate, cli_making.reproduce):
+for command in (cli_making.demonstrate, cli_reproduce.reproduce):
     app.command(command)
 
 

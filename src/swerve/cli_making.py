@@ -1,14 +1,13 @@
-"""The commands that make things: demonstrations, and published results anew."""
+"""The command that makes demonstrations."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import swerve
-from swerve.cli_options import AsJson, Problem, Tasks, open_work, say
+from swerve.cli_options import Problem, Tasks, open_work, say
 
 if TYPE_CHECKING:
     from swerve.demonstrators.optimal_control import Optimum
@@ -92,68 +91,3 @@ def _say_of_optima(optima: Sequence[Optimum]) -> None:
             f"{optimum.demonstration.name:<16} {optimum.reward:>10.4g} {runner_up:>10} "
             f"{len(optimum.rewards):>13}"
         )
-
-
-def reproduce(
-    name: Literal["gridworld", "human-walk"],
-    /,
-    *,
-    out: Path | None = None,
-    data: Path | None = None,
-    quick: bool = False,
-    as_json: AsJson = False,
-) -> None:
-    """Regenerate a published result: figures as PNG and SVG, the numbers in them as CSV.
-
-    gridworld: false positives and KL divergence against the number of demonstrations (Scobee and
-    Sastry, 2019), and what someone under no constraint enters; one to two minutes.
-
-    human-walk: the obstacle that people in a room walk around, from their tracks; two to three
-    minutes. --data names a folder of tracks.csv, with columns t [s], track, x, y
-    [m], and room.png, in which free floor is light; room.json tells where the picture lies,
-    {"corner": [x, y], "cell": side of a pixel} [m], unless that is [-11, -10] and 0.01.
-
-    Args:
-      name: The result.
-      out: Folder to write into; files of the same names are replaced. gridworld needs one;
-        without one human-walk prints its tables alone.
-      data: Golden output, a golden.json, to take demonstrations from and to compare with.
-        [default: demonstrations drawn in a world of Swerve's own]; of human-walk, the folder.
-      quick: Fewer numbers of demonstrations; of human-walk, wider steps of beta.
-      as_json: Print one JSON object; human-walk alone.
-    """
-    from swerve.store import check_writable
-
-    if data is not None and not data.exists():
-        raise FileNotFoundError(f"--data {data}: no such file; check the path")
-    if out is not None:
-        check_writable(out)
-    if name == "human-walk":
-        _reproduce_human_walk(data, out, quick, as_json)
-    elif out is None or as_json:
-        raise ValueError("gridworld: give --out, a folder for its figures and numbers, not --json")
-    else:
-        _reproduce_gridworld(data, out, quick)
-
-
-def _reproduce_gridworld(data: Path | None, out: Path, is_quick: bool) -> None:
-    from swerve.reproduce import gridworld, gridworld_figures
-
-    result = gridworld.reproduce(data, is_quick=is_quick, progress=True)
-    written = gridworld_figures.write(result, out)
-    print(gridworld_figures.table(result))
-    say(f"wrote {', '.join(path.name for path in written)} to {out}")
-
-
-def _reproduce_human_walk(
-    data: Path | None, out: Path | None, is_quick: bool, as_json: bool
-) -> None:
-    from swerve.reproduce import human_walk, human_walk_figures
-
-    if data is None or not data.is_dir():
-        raise ValueError(f"--data {data}: expected a folder of tracks.csv and room.png")
-    result = human_walk.reproduce(data, is_quick=is_quick, progress=True)
-    print(json.dumps(human_walk.to_json(result)) if as_json else human_walk_figures.table(result))
-    if out is not None:
-        written = human_walk_figures.write(result, out)
-        say(f"wrote {', '.join(path.name for path in written)} to {out}")

@@ -1,4 +1,4 @@
-"""Figures of published results as files: PNG, SVG, and the numbers in them as CSV."""
+"""Published results as files: figures as PNG and SVG, their numbers as CSV, tables as Markdown."""
 
 from __future__ import annotations
 
@@ -24,24 +24,36 @@ def column(height: float) -> Figure:
     return figure
 
 
-def write(folder: Path, parts: Sequence[tuple[str, Figure, list[list[str]]]]) -> list[Path]:
-    """Write figures as PNG and SVG, and the rows of their numbers as CSV.
+def write(
+    folder: Path, name: str, parts: Sequence[tuple[str, Figure, list[list[str]]]], summary: str
+) -> list[Path]:
+    """Write figures as PNG and SVG, the rows of their numbers as CSV, and a summary.
 
     Args:
       folder: created if need be.
+      name: of the result; the summary is <name>.md.
       parts: the name of the files, the figure and the rows of each.
+      summary: tables as Markdown, which docs show as they are.
 
     Raises:
       OSError: if one cannot be written; files are replaced when complete.
     """
     written = []
-    for name, figure, rows in parts:
-        path = folder / name
+    for part, figure, rows in parts:
+        path = folder / part
         store.write_text(path.with_suffix(".csv"), csv_text(rows))
         store.write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))
         store.write_bytes(path.with_suffix(".png"), _rendered(figure, "png"))
         written += [path.with_suffix(suffix) for suffix in (".png", ".svg", ".csv")]
-    return written
+    path = folder / f"{name}.md"
+    store.write_text(path, summary)
+    return [*written, path]
+
+
+def markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown, with a line before and after it."""
+    lines = [titles, ["---"] * len(titles), *rows]
+    return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
 
 
 def _rendered(figure: Figure, form: str) -> bytes:

@@ -22,7 +22,7 @@ from matplotlib.patheffects import Normal, Stroke
 
 from swerve.figures import FAINT, INK, open_sides
 from swerve.reproduce import files
-from swerve.reproduce.files import SIZE, SMALL, column
+from swerve.reproduce.files import SIZE, SMALL, column, markdown
 from swerve.reproduce.gridworld import Curves, Result, labels
 from swerve.shading import COLOURS
 from swerve.systems.gridworld import MOVES, Gridworld
@@ -55,10 +55,12 @@ def write(result: Result, folder: Path) -> list[Path]:
     """
     return files.write(
         folder,
+        "gridworld",
         [
             ("gridworld_curves", draw_curves(result), curve_rows(result)),
             ("gridworld_violations", draw_violations(result), violation_rows(result)),
         ],
+        summary(result),
     )
 
 
@@ -101,30 +103,57 @@ def violation_rows(result: Result) -> list[list[str]]:
     ]
 
 
-def table(result: Result) -> str:
-    """Return means over the sets as text: false positives, picks and KL [nats]."""
-    columns = [
+def summary(result: Result) -> str:
+    """Return means over the sets as Markdown."""
+    columns = _columns(result)
+    rows = [
+        [str(size), *(cell.strip() for cell in _means(columns, place))]
+        for place, size in enumerate(result.curves.sizes)
+    ]
+    titles = [f"{title}: false positives / picks, KL [nats]" for title, _, _ in columns]
+    text = markdown(["demonstrations", *titles], rows)
+    return text + (f"{_agreed(result)}\n" if result.agreement is not None else "")
+
+
+def _columns(result: Result) -> list[tuple[str, Curves, int]]:
+    """Return a title beside each curve."""
+    return [
         (f"{'golden, ' if name == 'golden' else ''}{_nats(curves.thresholds[k])}", curves, k)
         for name, curves, k in sources(result)
     ]
+
+
+def _means(columns: list[tuple[str, Curves, int]], place: int) -> list[str]:
+    """Return false positives, picks and KL [nats] at one size, by each curve."""
+    cells = []
+    for _, curves, k in columns:
+        false, picks, kl = (
+            values[k, :, place].mean() for values in (curves.num_false, curves.num_picks, curves.kl)
+        )
+        cells.append(f"{false:>5.1f} /{picks:>5.1f}{round(kl, 3) + 0.0:>7.3f}")
+    return cells
+
+
+def _agreed(result: Result) -> str:
+    agreement = result.agreement
+    assert agreement is not None
+    return (
+        f"{agreement.same} of {agreement.number} sequences of picks are the golden ones, "
+        f"largest KL difference {agreement.error:.0e} nats"
+    )
+
+
+def table(result: Result) -> str:
+    """Return means over the sets as text: false positives, picks and KL [nats]."""
+    columns = _columns(result)
     lines = [
         "means over the sets: false positives / picks, KL in nats",
         "  ".join([f"{'demonstrations':>14}", *(f"{title:>19}" for title, _, _ in columns)]),
     ]
     for place, size in enumerate(result.curves.sizes):
-        cells = [f"{size:>14}"]
-        for _, curves, k in columns:
-            false, picks, kl = (
-                values[k, :, place].mean()
-                for values in (curves.num_false, curves.num_picks, curves.kl)
-            )
-            cells.append(f"{false:>5.1f} /{picks:>5.1f}{round(kl, 3) + 0.0:>7.3f}")
-        lines.append("  ".join(cells))
-    if (agreement := result.agreement) is not None:
-        lines.append(
-            f"{agreement.same} of {agreement.number} sequences of picks are the golden ones, "
-            f"largest KL difference {agreement.error:.0e} nats"
-        )
+        lines.append("  ".join([f"{size:>14}", *_means(columns, place)]))
+    if result.agreement is not None:
+        lines.append(_agreed(result))
     return "\n".join(lines)
 
 

@@ -19,7 +19,7 @@ from matplotlib.patheffects import Normal, Stroke
 
 from swerve.figures import FAINT, INK, open_sides
 from swerve.reproduce import files
-from swerve.reproduce.files import SIZE, SMALL, column
+from swerve.reproduce.files import SIZE, SMALL, column, markdown
 from swerve.reproduce.human_walk import (
     INTERVAL,
     WIDTH,
@@ -47,26 +47,34 @@ def write(result: Result, folder: Path) -> list[Path]:
     """
     return files.write(
         folder,
+        "human_walk",
         [
             ("human_walk_map", draw_map(result), map_rows(result)),
             ("human_walk_belief", draw_belief(result), belief_rows(result)),
             ("human_walk_beta", draw_beta(result), beta_rows(result)),
             ("human_walk_sensitivity", draw_sensitivity(result), sensitivity_rows(result)),
         ],
+        summary(result),
     )
+
+
+def summary(result: Result) -> str:
+    """Return beta and, at it and about half and twice as much, the picks as Markdown."""
+    rows = []
+    for answer in result.sensitivity:
+        for name, pick in _found(answer):
+            x, y = (f"{value:.2f}" for value in pick["centre"])
+            error = f" ± {pick['standard_error']:.1f}" if "standard_error" in pick else ""
+            odds = f"{pick['log_odds']:.1f}" if "log_odds" in pick else ""
+            rows.append([f"{answer.beta:.2f}", name, x, y, f"{pick['gain_nats']:.1f}{error}", odds])
+    titles = ["beta [1/m]", "pick", "x [m]", "y [m]", "gain [nats]", "log odds of a constraint"]
+    return "\n".join(_head(result)) + "\n" + markdown(titles, rows)
 
 
 def table(result: Result) -> str:
     """Return beta and, at it and about half and twice as much, the picks as text."""
-    beta, left_out = result.beta, result.tracks.left_out
-    skipped = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
-    low, high = beta.interval
-    none = result.answer.inference.posterior.none
     lines = [
-        f"{len(result.tracks.used)} tracks" + (f"; left out: {skipped}" if skipped else ""),
-        f"beta {beta.value:.3g} per metre, 95 % interval {low:.3g} to {high:.3g}, above "
-        f"{beta.least:.3g}" + (", at the boundary of those tried" if beta.at_boundary else ""),
-        f"probability of no constraint {none:.2g}",
+        *_head(result),
         f"{'beta':>6}  {'pick':>9}  {'x [m]':>7} {'y [m]':>7}  {'nats':>6} {'+-':>5}  log odds",
     ]
     for answer in result.sensitivity:
@@ -81,6 +89,20 @@ def table(result: Result) -> str:
         if not answer.picks:
             lines.append(f"{answer.beta:>6.2f}  {'none':>9}")
     return "\n".join(lines)
+
+
+def _head(result: Result) -> list[str]:
+    """Return how many tracks there are, beta and the probability of no constraint."""
+    beta, left_out = result.beta, result.tracks.left_out
+    skipped = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
+    low, high = beta.interval
+    none = result.answer.inference.posterior.none
+    return [
+        f"{len(result.tracks.used)} tracks" + (f"; left out: {skipped}" if skipped else ""),
+        f"beta {beta.value:.3g} per metre, 95 % interval {low:.3g} to {high:.3g}, above "
+        f"{beta.least:.3g}" + (", at the boundary of those tried" if beta.at_boundary else ""),
+        f"probability of no constraint {none:.2g}",
+    ]
 
 
 def _found(answer: Answer) -> list[tuple[str, dict[str, Any]]]:

@@ -1,0 +1,100 @@
+"""The command that regenerates published results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from swerve.cli_options import AsJson, say
+
+WORK = "work"  # folder in --out of what takes long
+
+
+def reproduce(
+    name: Literal["car", "double-pendulum", "gridworld", "human-walk", "pendulum"],
+    /,
+    *,
+    out: Path | None = None,
+    data: Path | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Regenerate a published result: figures as PNG and SVG, their numbers as CSV, tables.
+
+    pendulum: the rank of the true constraint against the number of demonstrations, by Swerve and
+    by those it is compared with (Stocking et al., 2022, figures 2 and 3); an hour or two, then
+    the rest of two minutes. --data names a folder of demo_*.csv and tasks.csv of others who
+    avoided cell 55. Needs the extra 'control'.
+
+    gridworld: false positives and KL divergence against the number of demonstrations (Scobee and
+    Sastry, 2019), and what someone under no constraint enters; one to two minutes.
+
+    human-walk: the obstacle that people in a room walk around, from their tracks; two to three
+    minutes. --data names a folder of tracks.csv, with columns t [s], track, x, y
+    [m], and room.png, in which free floor is light; room.json tells where the picture lies,
+    {"corner": [x, y], "cell": side of a pixel} [m], unless that is [-11, -10] and 0.01.
+
+    What takes long is kept in a folder 'work' in --out: the same command goes on from there.
+
+    Args:
+      name: The result.
+      out: Folder to write into; files of the same names are replaced. Without one human-walk
+        prints its tables alone; the others need it.
+      data: Data of others, as told above; of gridworld golden output, a golden.json, to take
+        demonstrations from and to compare with.
+        [default: what this project makes itself]
+      quick: A small version, in less than two minutes.
+      seed: Of everything random.
+      as_json: Print one JSON object; human-walk alone.
+    """
+    from swerve.store import check_writable
+
+    if data is not None and not data.exists():
+        raise FileNotFoundError(f"--data {data}: no such file; check the path")
+    if out is not None:
+        check_writable(out)
+    if name == "human-walk":
+        _human_walk(data, out, quick, seed, as_json)
+    elif out is None or as_json:
+        raise ValueError(f"{name}: give --out, a folder for its figures and numbers, not --json")
+    elif name == "gridworld":
+        _gridworld(data, out, quick, seed)
+    else:
+        _pendulum(data, out, quick, seed)
+
+
+def _pendulum(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
+    from swerve.reproduce import pendulum, pendulum_figures
+
+    result = pendulum.reproduce(out / WORK, data, is_quick=is_quick, seed=seed, progress=True)
+    written = pendulum_figures.write(result, out)
+    print(pendulum_figures.table(result))
+    _say_written(written, out)
+
+
+def _gridworld(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
+    from swerve.reproduce import gridworld, gridworld_figures
+
+    result = gridworld.reproduce(data, is_quick=is_quick, seed=seed, progress=True)
+    written = gridworld_figures.write(result, out)
+    print(gridworld_figures.table(result))
+    _say_written(written, out)
+
+
+def _human_walk(
+    data: Path | None, out: Path | None, is_quick: bool, seed: int, as_json: bool
+) -> None:
+    from swerve.reproduce import human_walk, human_walk_figures
+
+    if data is None or not data.is_dir():
+        raise ValueError(f"--data {data}: expected a folder of tracks.csv and room.png")
+    result = human_walk.reproduce(data, is_quick=is_quick, seed=seed, progress=True)
+    print(json.dumps(human_walk.to_json(result)) if as_json else human_walk_figures.table(result))
+    if out is not None:
+        _say_written(human_walk_figures.write(result, out), out)
+
+
+def _say_written(written: list[Path], out: Path) -> None:
+    say(f"wrote {', '.join(path.name for path in written)} to {out}")
