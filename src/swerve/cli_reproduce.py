@@ -28,6 +28,12 @@ def reproduce(
     the rest of two minutes. --data names a folder of demo_*.csv and tasks.csv of others who
     avoided cell 55. Needs the extra 'control'.
 
+    car: which region of the track human-like drivers avoid, by single drives and while they last
+    (figure 4); some 40 minutes.
+
+    double-pendulum: the same as for the pendulum in four dimensions, by networks and by tables of
+    cells (Stocking et al., 2021); some 40 minutes. Needs the extra 'control'.
+
     gridworld: false positives and KL divergence against the number of demonstrations (Scobee and
     Sastry, 2019), and what someone under no constraint enters; one to two minutes.
 
@@ -61,8 +67,32 @@ def reproduce(
         raise ValueError(f"{name}: give --out, a folder for its figures and numbers, not --json")
     elif name == "gridworld":
         _gridworld(data, out, quick, seed)
-    else:
+    elif name == "pendulum":
         _pendulum(data, out, quick, seed)
+    elif data is not None:
+        raise ValueError(f"{name}: there are no data of others to take: leave --data out")
+    elif name == "car":
+        _car(out, quick, seed)
+    else:
+        _double_pendulum(out, quick, seed)
+
+
+def _car(out: Path, is_quick: bool, seed: int) -> None:
+    from swerve.reproduce import car, car_figures
+
+    result = car.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
+    written = car_figures.write(result, out)
+    print(car_figures.table(result))
+    _say_written(written, out)
+
+
+def _double_pendulum(out: Path, is_quick: bool, seed: int) -> None:
+    from swerve.reproduce import double_pendulum, double_pendulum_figures
+
+    result = double_pendulum.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
+    written = double_pendulum_figures.write(result, out)
+    print(double_pendulum_figures.table(result))
+    _say_written(written, out)
 
 
 def _pendulum(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:

@@ -42,6 +42,10 @@ SAME = 1e-5  # relative: rewards closer than this are those of one optimum
 ROUNDS = 3  # times that turns of an obstacle are added which a solution has come to
 
 
+class NoPathError(ValueError):
+    """No path was found that keeps out and reaches its goal."""
+
+
 @dataclass(frozen=True, eq=False)
 class Optimum:
     """A demonstration that is a local optimum.
@@ -97,8 +101,9 @@ def optimal_control(
 
     Raises:
       ImportError: if CasADi is not installed.
-      ValueError: if a start lies inside the constraint, no guess leads to a path that reaches the
-        goal and keeps out, or an argument is of the wrong kind or range.
+      NoPathError: if no guess leads to a path that reaches the goal and keeps out; a ValueError.
+      ValueError: if a start lies inside the constraint, or an argument is of the wrong kind or
+        range.
     """
     instance(problem, Problem, "problem", "make one with swerve.Problem")
     instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
@@ -181,7 +186,7 @@ class _Planner:
         """Return the best path that is found.
 
         Raises:
-          ValueError: if none is, or it ends too far from the goal.
+          NoPathError: if none is, or it ends too far from the goal.
         """
         endings: Counter[str] = Counter()
         found: list[Solution] = []
@@ -196,14 +201,14 @@ class _Planner:
         remedy = "choose another task, wider limits of actions, more steps or more guesses"
         if not found:
             avoided = ", ".join(constraint.name for constraint in self._avoided)
-            raise ValueError(
+            raise NoPathError(
                 f"{where} no path was found that keeps out of {avoided}, from {num_guesses} "
                 f"guesses ({tried}): {remedy}"
             )
         best = max(found, key=lambda solution: solution.reward)
         missed = self._missed(task, best.path)
         if missed > self._goal_tolerance:
-            raise ValueError(
+            raise NoPathError(
                 f"{where} the best path that was found ends {missed:.3g} from the goal, more than "
                 f"goal_tolerance = {self._goal_tolerance:g} ({tried}): {remedy}"
             )

@@ -17,51 +17,38 @@ Shapes: D demonstrations, H hypotheses.
 
 from __future__ import annotations
 
-import shutil
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from swerve import store
 from swerve.constraints import violates
-from swerve.demonstrations import Demonstration, read_demonstrations, write_demonstrations
-from swerve.demonstrators.optimal_control import optimal_control
-from swerve.inference import Inference, infer
-from swerve.reproduce.ranks import NOISE, Curve, Judged, curve, judged
-from swerve.settings import Settings
-from swerve.solvers.tabular import TableNominal
-from swerve.space import Task
+from swerve.demonstrations import Demonstration
+from swerve.reproduce.clock import Clock
+from swerve.reproduce.made import Making, kept_optima, read_folder
+from swerve.reproduce.ranks import NOISE, Curve, Judged, curve
+from swerve.reproduce.ways import (
+    DISCRETE,
+    GRID,
+    PPO,
+    SOFT_VALUE,
+    Answer,
+    Source,
+    Way,
+    answers_of,
+    best_tables,
+    infer_from,
+)
 from swerve.systems.pendulum import pendulum
-from swerve.tasks import draw_tasks
 from swerve.work import Work
 
 CONSTRAINTS = {"C1": 55, "C2": 85}
 REAL = "real"  # name of the demonstrations of a folder
 REAL_TRUTH = CONSTRAINTS["C1"]
-SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30, 40, 50, 65)
+GOAL_TOLERANCE = 0.05  # rad and rad/s together
 LEAST_SURVIVAL = 1e-4  # one trajectory of 10,000
 FOLLOWED = (55, 17, 87, 7)  # cells whose nats are told, the four of METHOD
-SOFT_VALUE, GRID, PPO, DISCRETE = "soft value + SMC", "grid", "PPO", "MLCI-Discrete"
-
-
-class Way(NamedTuple):
-    """A way to infer.
-
-    Attributes:
-      name: what it is called.
-      solver: as the command line names it.
-      method: of sampling.
-      score: of several demonstrations.
-    """
-
-    name: str
-    solver: str
-    method: str | None
-    score: str = "likelihood"
 
 
 class Scale(NamedTuple):
@@ -106,26 +93,6 @@ QUICK = Scale(
 )
 
 
-class Answer(NamedTuple):
-    """What one way says of one set of demonstrations.
-
-    Attributes:
-      source: "C1", "C2" or "real".
-      max_torque: of the model.
-      way: to infer.
-      curve: rank of the truth.
-      result: of all demonstrations together.
-      violation: [D, H] probability of entering each cell in the task of each.
-    """
-
-    source: str
-    max_torque: float
-    way: Way
-    curve: Curve
-    result: Inference
-    violation: np.ndarray
-
-
 class Exact(NamedTuple):
     """What a folder holds of exact answers.
 
@@ -147,14 +114,14 @@ class Result(NamedTuple):
 
     Attributes:
       scale: how much was done.
-      demonstrations: by source.
+      sources: the demonstrations.
       answers: of every source, torque and way.
       exact: of the folder, where it has them.
       seconds: how long what took: "torque 10: soft value + SMC, learn" and so on.
     """
 
     scale: Scale
-    demonstrations: dict[str, list[Demonstration]]
+    sources: list[Source]
     answers: list[Answer]
     exact: list[Exact]
     seconds: dict[str, float]
@@ -186,142 +153,59 @@ def reproduce(
     scale = QUICK if is_quick else FULL
     folder = folder / ("quick" if is_quick else "full")
     clock = Clock(folder / "seconds.json")
-    sets = {
-        name: _made(folder / name, name, scale.num_demonstrations, seed, progress, clock)
-        for name in CONSTRAINTS
-    }
+    problem, num = pendulum(between_states=False), scale.num_demonstrations
+    how = Making((-np.inf, np.inf), GOAL_TOLERANCE, seed, progress, clock)
+    sources = [
+        Source(name, kept_optima(folder / name, problem, truth, num, how), truth)
+        for name, truth in CONSTRAINTS.items()
+    ]
     if data is not None:
-        sets[REAL] = _read(data, scale.num_demonstrations if is_quick else None)
-        _check_real(sets[REAL])
+        sources.append(_read(data, num if is_quick else None))
     answers = []
     for max_torque in scale.max_torques:
-        text = f"pendulum?between_states=false&max_torque={max_torque:g}"
         for way in scale.ways:
-            settings = Settings(
-                way.solver, seed, way.method, scale.num_trajectories if way.method else None
-            )
-            work = Work(text, folder / f"torque_{max_torque:g}", settings, progress=progress)
-            answers += _answers(work, max_torque, way, sets, clock, seed)
-    answers = _best_tables(answers)
-    exact = [] if data is None else _exact(data, answers, seed)
-    return Result(scale, sets, answers, exact, clock.seconds)
+            place = folder / f"torque_{max_torque:g}"
+            asked = way.settings(scale.num_trajectories, seed)
+            work = Work(model(max_torque), place, asked, progress=progress)
+            label = f"torque {max_torque:g}: {way.name}"
+            answers += infer_from(work, way, label, sources, clock, seed)
+    answers = best_tables(answers)
+    exact = [] if data is None else _exact(data, scale.max_torques, answers, seed)
+    return Result(scale, sources, answers, exact, clock.seconds)
 
 
-class Clock:
-    """How long what took, also in parts; kept in a file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.seconds: dict[str, float] = store.read_json(path) if path.exists() else {}
-
-    @contextmanager
-    def timing(self, name: str) -> Iterator[None]:
-        """Add what the block takes to what is called so."""
-        began = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-            store.write_json(self._path, self.seconds)
+def model(max_torque: float) -> str:
+    """Return the problem with torques to max_torque, as the command line names it."""
+    return f"pendulum?between_states=false&max_torque={max_torque:g}"
 
 
-def truth_of(source: str) -> int:
-    """Return the index of the cell that demonstrations avoid."""
-    return CONSTRAINTS.get(source, REAL_TRUTH)
-
-
-def _made(
-    folder: Path, name: str, num: int, seed: int, progress: bool, clock: Clock
-) -> list[Demonstration]:
-    """Return demonstrations by optimal control with any torque, made unless they are there."""
+def _read(folder: Path, most: int | None) -> Source:
+    """Return the demonstrations of a folder, which are to avoid cell 55."""
     problem = pendulum(between_states=False)
-    if not folder.exists():
-        cell = problem.hypotheses.constraint(CONSTRAINTS[name])
-        tasks = draw_tasks(problem, num, avoid=[cell], seed=1_000 * seed + CONSTRAINTS[name])
-        limits, labels = (-np.inf, np.inf), [f"demo_{k:03d}" for k in range(num)]
-        with clock.timing(f"{name}: demonstrations"):
-            optima = optimal_control(
-                problem, cell, tasks, names=labels, limits=limits, seed=seed, progress=progress
-            )
-        partial = folder.with_name(f"{name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        made = [optimum.demonstration for optimum in optima]
-        write_demonstrations(partial, made, problem.mdp.space, action_names=("torque",))
-        partial.replace(folder)
-    return _read(folder, None)
-
-
-def _read(folder: Path, most: int | None) -> list[Demonstration]:
-    files = sorted(folder.glob("demo_*.csv"))[:most]
-    if not files:
-        raise FileNotFoundError(f"{folder}: expected demo_*.csv and tasks.csv, found none")
-    return read_demonstrations(files, pendulum().mdp.space, tasks=folder / "tasks.csv")
-
-
-def _check_real(demonstrations: list[Demonstration]) -> None:
-    """Raise ValueError where a demonstration enters the cell that it is to avoid."""
-    problem = pendulum(between_states=False)
-    cell = problem.hypotheses.constraint(REAL_TRUTH)
-    for one in demonstrations:
+    cell, made = problem.hypotheses.constraint(REAL_TRUTH), read_folder(folder, problem, most)
+    for one in made:
         if violates(cell, one.states, problem.mdp.space, False):
             raise ValueError(
                 f"{one.name} enters cell {REAL_TRUTH}, {cell.name}: expected demonstrations that "
                 "avoid it"
             )
+    return Source(REAL, made, REAL_TRUTH)
 
 
-def _answers(
-    work: Work,
-    max_torque: float,
-    way: Way,
-    sets: dict[str, list[Demonstration]],
-    clock: Clock,
-    seed: int,
-) -> list[Answer]:
-    """Return what one way says of every set of demonstrations, by a model of one torque."""
-    label = f"torque {max_torque:g}: {way.name}"
-    with clock.timing(f"{label}, learn"):
-        nominal = work.nominal()
-    found = []
-    for source, demonstrations in sets.items():
-        moved = demonstrations
-        if isinstance(nominal, TableNominal):  # to the centres of its cells, as its authors do
-            moved = [nominal.snapped(one) for one in demonstrations]
-        with clock.timing(f"{label}, sample {source}"):
-            evidence = work.evidence(Task.stack([one.task for one in moved]))
-        result = infer(evidence, moved, score=way.score)
-        sizes = [size for size in SIZES if size <= len(moved)]
-        drawn = curve(judged(result), truth_of(source), sizes, seed=seed)
-        violation = evidence.violation_probability[result.task_of]
-        found.append(Answer(source, max_torque, way, drawn, result, violation))
-    return found
-
-
-def _best_tables(answers: list[Answer]) -> list[Answer]:
-    """Return answers with, of several tables for the same, the one of the least average rank."""
-    best: dict[tuple[Any, ...], Answer] = {}
-    for answer in answers:
-        key = (answer.source, answer.max_torque, answer.way.name)
-        if key not in best or _average(answer) < _average(best[key]):
-            best[key] = answer
-    return list(best.values())
-
-
-def _average(answer: Answer) -> float:
-    return float(answer.curve.rank.mean())
-
-
-def _exact(data: Path, answers: list[Answer], seed: int) -> list[Exact]:
+def _exact(
+    data: Path, max_torques: Sequence[float], answers: list[Answer], seed: int
+) -> list[Exact]:
     """Return the exact probabilities that a folder holds, with the curve by them."""
     found = []
-    for answer in answers:
-        path = data / f"exact_violation_torque{answer.max_torque:g}.csv"
-        if answer.source == REAL and answer.way.name == GRID and path.exists():
+    for max_torque in max_torques:
+        path = data / f"exact_violation_torque{max_torque:g}.csv"
+        if path.exists():
+            (answer,) = answers_of(answers, REAL, model(max_torque), GRID)
             violation = read_violation(path, list(answer.result.demonstrations))
             survival = np.maximum(1.0 - np.where(violation < NOISE, 0.0, violation), LEAST_SURVIVAL)
             said = Judged(-np.log(survival), answer.result.entered)
             drawn = curve(said, REAL_TRUTH, answer.curve.sizes, seed=seed)
-            found.append(Exact(answer.max_torque, violation, said.score.sum(axis=0), drawn))
+            found.append(Exact(max_torque, violation, said.score.sum(axis=0), drawn))
     return found
 
 

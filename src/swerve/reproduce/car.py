@@ -1,0 +1,350 @@
+"""Which part of the track a swerving driver avoids (the paper, figure 4).
+
+Human-like drivers pass an obstacle in the right lane; the hypotheses are 2 x 14 regions of the
+track. Beta is that of drives with nothing in the way, by maximum likelihood; one soft value network
+serves a span of it. Nominal drivers enter every region of the right lane almost surely: what comes
+first among those that somebody left out rests on what driving around each would cost, which is
+worked out with the region in force (`resolving`). A drive may ignore the constraint with
+probability TOLERANCE, since no region is the obstacle exactly. The same by samples of the paper's
+beta comes beside it.
+
+Shapes: D drives, H hypotheses, L states of a drive.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve.boxes import Box
+from swerve.course import follow
+from swerve.demonstrations import Demonstration
+from swerve.demonstrators.driver import START, drives
+from swerve.evidence import Evidence
+from swerve.foresight import Foresight
+from swerve.foresight_training import foresee
+from swerve.inference import Inference, infer
+from swerve.monitor import Monitor
+from swerve.nominal import Nominal, learn, load_nominal, save_nominal
+from swerve.problem import Problem
+from swerve.progress import progress_bar
+from swerve.reproduce.clock import Clock
+from swerve.resolving import resolve
+from swerve.rewards import total_rewards
+from swerve.sampling import sample
+from swerve.solvers.soft_value import SoftValue
+from swerve.solvers.training import TrainedNominal
+from swerve.space import Task
+from swerve.systems.car import GOAL_LINE, NUM_LANES, NUM_ROWS, TRACK, Car, car
+from swerve.temperature import BetaFit, fit_beta
+
+OBSTACLE = Box(x=(-0.3, 0.2), y=(6.7, 7.4))
+ROW = 11  # of the region that holds most of it
+TRUTH = NUM_ROWS + ROW  # right lane
+NUM_FREE = 20  # drives with nothing in the way
+SEVEN = 7  # drives in the paper
+NUM_SETS = 200  # random sets of seven
+TOLERANCE = 0.05
+LADDER = (0.2, 0.4, 0.8, 1.6)  # betas at which the reward of drives is looked for
+BASE, SPAN = 0.6, 4.0  # of the network
+PAPER_BETA = 200.0
+TASK = Task(np.array(START), np.zeros(0))
+EXACT, NEXT, OTHER = "exact", "next to it", "other"
+
+
+class Scale(NamedTuple):
+    """How much is done.
+
+    Attributes:
+      num_drives: around the obstacle.
+      num_trajectories: sampled.
+      solver: of the nominal distribution.
+      paper_solver: of that at the paper's beta.
+      num_rollouts: that foresight is learned from.
+    """
+
+    num_drives: int
+    num_trajectories: int
+    solver: SoftValue
+    paper_solver: SoftValue
+    num_rollouts: int
+
+
+FULL = Scale(70, 10_000, SoftValue(beta_span=SPAN), SoftValue(num_steps=10_000_000), 6_000)
+QUICK = Scale(
+    14,
+    1_000,
+    SoftValue(num_steps=1_000_000, beta_span=SPAN, num_lanes=256),
+    SoftValue(num_steps=300_000, num_lanes=256),
+    500,
+)
+
+
+class Single(NamedTuple):
+    """What one drive alone tells.
+
+    Attributes:
+      first: the region that comes first.
+      tied: regions that cannot be told from it, itself included.
+      posterior: [H + 1] probabilities, that of no constraint last.
+    """
+
+    first: int
+    tied: int
+    posterior: np.ndarray
+
+
+class Early(NamedTuple):
+    """When a monitor knows, and does not change its mind again; NaN where it never does.
+
+    Attributes:
+      exact: y at which the true region comes first [m].
+      near: y at which it or one next to it does [m].
+    """
+
+    exact: float
+    near: float
+
+
+class Result(NamedTuple):
+    """What was measured.
+
+    Attributes:
+      scale: how much was done.
+      drives: around the obstacle.
+      free: drives with nothing in the way.
+      fit: beta of these.
+      evidence: at that beta, resolved.
+      singles: what each drive alone tells.
+      early: when a monitor knew, for each drive.
+      seven: of the first seven drives together.
+      seven_share: share of random sets of seven for which the truth comes first.
+      paper: what each drive alone tells by samples of the paper's beta.
+      paper_evidence: those samples, with the verdict on them.
+      seconds: how long what took.
+    """
+
+    scale: Scale
+    drives: list[Demonstration]
+    free: list[Demonstration]
+    fit: BetaFit
+    evidence: Evidence
+    singles: list[Single]
+    early: list[Early]
+    seven: Inference
+    seven_share: float
+    paper: list[Single]
+    paper_evidence: Evidence
+    seconds: dict[str, float]
+
+
+def reproduce(
+    folder: Path, *, is_quick: bool = False, seed: int = 0, progress: bool = False
+) -> Result:
+    """Have drivers drive, fit beta, and infer from each drive, while it lasts and after.
+
+    Args:
+      folder: where all that takes long is kept, and found again.
+      is_quick: whether to do little of it.
+      seed: of everything random.
+      progress: whether to show progress bars.
+
+    Raises:
+      OSError: if a file cannot be written.
+      ValueError: if beta cannot be told from the drives.
+    """
+    scale = QUICK if is_quick else FULL
+    folder = folder / ("quick" if is_quick else "full")
+    folder.mkdir(parents=True, exist_ok=True)
+    clock = Clock(folder / "seconds.json")
+    base = car(BASE)
+    made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
+    free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
+    keep = _Keep(folder, clock, seed, progress)
+    network = keep.nominal("network", base, scale.solver)
+    assert isinstance(network, TrainedNominal)
+    fit, evidence = _fitted(network, free, scale.num_trajectories, keep)
+    nominal = network.at_beta(evidence.problem.beta)
+    evidence = _resolved(nominal, evidence, made, folder / "resolved.evidence", keep)
+    foresight = _foresight(nominal, evidence, scale.num_rollouts, keep)
+    with progress_bar("monitoring", len(made), progress) as advance:
+        early = []
+        for drive in made:
+            early.append(_early(evidence, foresight, drive))
+            advance(1)
+    paper = keep.nominal("paper", car(PAPER_BETA), scale.paper_solver)
+    paper_evidence = keep.evidence("paper", paper, scale.num_trajectories)
+    return Result(
+        scale,
+        made,
+        free,
+        fit,
+        evidence,
+        [_single(evidence, drive) for drive in made],
+        early,
+        infer(evidence, made[:SEVEN], tolerance=TOLERANCE),
+        _seven_share(evidence, made, seed),
+        [_single(paper_evidence, drive) for drive in made],
+        paper_evidence,
+        clock.seconds,
+    )
+
+
+def verdict(index: int) -> str:
+    """Return whether a region is the true one, next to it, or another."""
+    lane, row = divmod(index, NUM_ROWS)
+    steps = abs(lane - TRUTH // NUM_ROWS) + abs(row - ROW)
+    return (EXACT, NEXT, OTHER)[min(steps, 2)]
+
+
+def regions() -> np.ndarray:
+    """Return x and y of the corners of each region [H, 4]: x low, x high, y low, y high [m]."""
+    x = np.linspace(*TRACK, NUM_LANES + 1)
+    y = np.linspace(0.0, GOAL_LINE, NUM_ROWS + 1)
+    return np.array(
+        [
+            [x[lane], x[lane + 1], y[row], y[row + 1]]
+            for lane in range(NUM_LANES)
+            for row in range(NUM_ROWS)
+        ]
+    )
+
+
+class _Keep(NamedTuple):
+    """Learns and samples what a folder does not hold yet."""
+
+    folder: Path
+    clock: Clock
+    seed: int
+    progress: bool
+
+    def nominal(self, name: str, problem: Problem, solver: SoftValue) -> Nominal:
+        """Return what is learned of a problem."""
+        path, checkpoint = (self.folder / f"{name}.{kind}" for kind in ("nominal", "checkpoint"))
+        if not path.exists():
+            with self.clock.timing(f"{name}: learn"):
+                task = Task.stack([TASK])
+                nominal = learn(
+                    problem,
+                    solver,
+                    tasks=task,
+                    seed=self.seed,
+                    progress=self.progress,
+                    checkpoint=checkpoint,
+                )
+            save_nominal(path, nominal)
+            checkpoint.unlink(missing_ok=True)
+        return load_nominal(path, problem)
+
+    def evidence(self, name: str, nominal: Nominal, num: int) -> Evidence:
+        """Return evidence of the one task."""
+        path = self.folder / f"{name}.evidence"
+        if not path.exists():
+            with self.clock.timing(f"{name}: sample"):
+                settings = {"seed": self.seed, "progress": self.progress}
+                sample(nominal, TASK, num, method="smc", **settings).save(path)
+        return Evidence.load(path)
+
+
+def _fitted(
+    network: TrainedNominal, free: list[Demonstration], num: int, keep: _Keep
+) -> tuple[BetaFit, Evidence]:
+    """Return beta by maximum likelihood, and evidence sampled at it.
+
+    The mean reward of pi_0 rises with beta: where it passes that of the drives, they are held
+    against samples of that beta; what these say is sampled anew.
+    """
+    earned = float(np.mean(total_rewards(network.problem, free)))
+    before: tuple[float, float] | None = None
+    beta = LADDER[-1]
+    for rung in LADDER:
+        evidence = keep.evidence(f"beta_{rung:g}", network.at_beta(rung), num // 5)
+        expected = _mean_reward(evidence)
+        if expected >= earned:
+            beta = rung if before is None else _between(before, (rung, expected), earned)
+            break
+        before = (rung, expected)
+    evidence = keep.evidence("near", network.at_beta(beta), num)
+    fit = fit_beta(network.at_beta(beta).problem, evidence, free)
+    if fit.at_boundary or not network.covers(fit.beta):
+        raise ValueError(f"the drives tell no beta: {fit}")
+    return fit, keep.evidence("fitted", network.at_beta(fit.beta), num)
+
+
+def _mean_reward(evidence: Evidence) -> float:
+    weight = np.exp(evidence.importance_log_weight[0])
+    return float((weight * evidence.samples.total_reward[0]).sum() / weight.sum())
+
+
+def _between(low: tuple[float, float], high: tuple[float, float], earned: float) -> float:
+    """Return the beta at which the mean reward is what was earned, by interpolation of logs."""
+    share = (earned - low[1]) / (high[1] - low[1])
+    return math.exp((1.0 - share) * math.log(low[0]) + share * math.log(high[0]))
+
+
+def _resolved(
+    nominal: Nominal, evidence: Evidence, made: list[Demonstration], path: Path, keep: _Keep
+) -> Evidence:
+    """Return evidence with what the single rankings hang on worked out."""
+    if path.exists():
+        evidence = Evidence.load(path)
+    with keep.clock.timing("resolve"):
+        for drive in made:
+            inference = infer(evidence, [drive])
+            if inference.is_open.any():
+                evidence = resolve(
+                    nominal,
+                    inference,
+                    seed=keep.seed,
+                    progress=keep.progress,
+                    keep=lambda found: found.save(path),
+                )
+    return evidence
+
+
+def _foresight(nominal: Nominal, evidence: Evidence, num: int, keep: _Keep) -> Foresight:
+    path = keep.folder / "foresight"
+    if not path.exists():
+        with keep.clock.timing("foresee"):
+            foresee(
+                nominal, evidence, num_trajectories=num, seed=keep.seed, progress=keep.progress
+            ).save(path)
+    return Foresight.load(path, nominal.problem)
+
+
+def _single(evidence: Evidence, drive: Demonstration) -> Single:
+    result = infer(evidence, [drive], tolerance=TOLERANCE)
+    belief = result.posterior
+    return Single(
+        int(result.ranking[0]), len(result.leaders), np.append(belief.hypotheses, belief.none)
+    )
+
+
+def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration) -> Early:
+    """Return from where on a monitor has the truth first, and it or a neighbour."""
+    course = follow(Monitor(evidence, TASK, foresight, tolerance=TOLERANCE), drive)
+    first = course.log_likelihood.argmax(axis=1)
+    found = [verdict(int(index)) for index in first]
+    y = np.append(drive.states[:, 1], drive.states[-1, 1])
+    exact, near = ([one in right for one in found] for right in ((EXACT,), (EXACT, NEXT)))
+    return Early(_from(y, exact), _from(y, near))
+
+
+def _from(y: np.ndarray, holds: list[bool]) -> float:
+    """Return the y from which on something holds to the end, NaN if it does not then."""
+    if not holds[-1]:
+        return math.nan
+    wrong = np.flatnonzero(~np.array(holds))
+    return float(y[wrong[-1] + 1]) if len(wrong) else float(y[0])
+
+
+def _seven_share(evidence: Evidence, made: list[Demonstration], seed: int) -> float:
+    """Return the share of random sets of seven for which the truth comes first."""
+    generator = np.random.default_rng(seed)
+    said = infer(evidence, made, tolerance=TOLERANCE).contributions
+    num = min(SEVEN, len(made))
+    sets = [generator.choice(len(made), num, replace=False) for _ in range(NUM_SETS)]
+    return float(np.mean([said[chosen].sum(axis=0).argmax() == TRUTH for chosen in sets]))

@@ -1,0 +1,275 @@
+"""Figures, tables and files of the car; nothing is computed but counts.
+
+Shapes: D drives, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from swerve.figures import FAINT, INK, open_sides
+from swerve.reproduce import files
+from swerve.reproduce.car import (
+    EXACT,
+    NEXT,
+    OBSTACLE,
+    OTHER,
+    PAPER_BETA,
+    SEVEN,
+    TRUTH,
+    Result,
+    Single,
+    regions,
+    verdict,
+)
+from swerve.reproduce.files import SIZE, SMALL, column, markdown
+from swerve.reproduce.rank_figures import time_table
+from swerve.shading import COLOURS
+from swerve.systems.car import GOAL_LINE, NUM_ROWS, TRACK
+
+VERDICTS = (EXACT, NEXT, OTHER)
+PAPER = {EXACT: 3, NEXT: 4, OTHER: 0}  # of seven drives
+MOST_DRAWN = 40  # drives in the picture
+
+
+def write(result: Result, folder: Path) -> list[Path]:
+    """Write the figures as PNG and SVG, the numbers in them as CSV, tables as Markdown.
+
+    Returns:
+      The files, in a folder that is created if need be.
+
+    Raises:
+      OSError: if one cannot be written; files are replaced when complete.
+    """
+    return files.write(
+        folder,
+        "car",
+        [
+            ("car_track", draw_track(result), region_rows(result)),
+            ("car_early", draw_early(result), drive_rows(result)),
+        ],
+        summary(result),
+    )
+
+
+def counts(singles: Sequence[Single]) -> dict[str, int]:
+    """Return for how many drives the first region is the true one, next to it, or another."""
+    found = Counter(verdict(one.first) for one in singles)
+    return {name: found[name] for name in VERDICTS}
+
+
+def mean_posterior(singles: Sequence[Single]) -> np.ndarray:
+    """Return the posterior [H + 1] of a single drive, averaged over the drives."""
+    return np.mean([one.posterior for one in singles], axis=0)
+
+
+def region_rows(result: Result) -> list[list[str]]:
+    """Return the rows of a table of what is believed of each region."""
+    single, seven = mean_posterior(result.singles), result.seven.posterior
+    rows = [["region", "x_low_m", "x_high_m", "y_low_m", "y_high_m", "log_avoid_nats",
+             "posterior_of_one_drive", "posterior_of_seven"]]  # fmt: skip
+    for index, corners in enumerate(regions()):
+        numbers = (
+            *corners,
+            result.evidence.log_ratio[0, index],
+            single[index],
+            seven.hypotheses[index],
+        )
+        rows.append([str(index), *(f"{value:.5g}" for value in numbers)])
+    return [*rows, ["none", *[""] * 5, f"{single[-1]:.5g}", f"{seven.none:.5g}"]]
+
+
+def drive_rows(result: Result) -> list[list[str]]:
+    """Return the rows of a table of what each drive tells, and when."""
+    rows = [["drive", "first", "is", "tied", "y_exact_m", "y_near_m", "paper_beta_first",
+             "paper_beta_tied"]]  # fmt: skip
+    every = zip(result.drives, result.singles, result.early, result.paper, strict=True)
+    for drive, single, early, paper in every:
+        cells = (single.first, verdict(single.first), single.tied, f"{early.exact:.4g}")
+        more = (f"{early.near:.4g}", paper.first, paper.tied)
+        rows.append([drive.name, *(str(cell) for cell in (*cells, *more))])
+    return rows
+
+
+def draw_track(result: Result) -> Figure:
+    """Draw the drives, and what one of them and seven together say of each region."""
+    figure = column(4.4)
+    left, right = figure.subplots(1, 2, sharey=True)
+    seven = result.seven.posterior.hypotheses
+    for axes, values, title in (
+        (left, mean_posterior(result.singles)[:-1], "after one drive"),
+        (right, seven, f"after {SEVEN} drives"),
+    ):
+        for corners, value in zip(regions(), values, strict=True):
+            _shade(axes, corners, float(value))
+        axes.set_title(title, fontsize=SIZE, loc="left", fontweight="bold")
+        axes.set(xlim=TRACK, ylim=(0.0, GOAL_LINE))
+        axes.set_xlabel("x [m]", fontsize=SIZE)
+        axes.tick_params(labelsize=SMALL)
+        _outline(axes)
+    for number, drive in enumerate(result.drives[:MOST_DRAWN]):
+        label = "_" if number else "a drive"
+        left.plot(*drive.states[:, :2].T, color=INK, lw=0.4, alpha=0.5, label=label, zorder=3)
+    left.set_ylabel("y, along the track [m]", fontsize=SIZE)
+    scale = figure.colorbar(_mappable(), ax=(left, right), location="bottom", aspect=30, pad=0.02)
+    scale.set_label("posterior probability of the region", fontsize=SMALL)
+    scale.ax.tick_params(labelsize=SMALL)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2,
+                  fontsize=SMALL, frameon=False)  # fmt: skip
+    return figure
+
+
+def _mappable():
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(0.0, 1.0), COLOURS)
+
+
+def _shade(axes: Axes, corners: np.ndarray, value: float) -> None:
+    x_low, x_high, y_low, y_high = corners
+    size = (x_high - x_low, y_high - y_low)
+    colour = COLOURS(value)
+    style = {"facecolor": colour, "edgecolor": FAINT, "lw": 0.4}
+    axes.add_patch(Rectangle((x_low, y_low), *size, **style))
+    if value >= 0.05:
+        ink = "white" if value > 0.5 else INK
+        middle = (0.5 * (x_low + x_high), 0.5 * (y_low + y_high))
+        style = {"fontsize": SMALL, "color": ink, "zorder": 5}
+        axes.text(*middle, f"{value:.2f}", ha="center", va="center", **style)
+
+
+def _outline(axes: Axes) -> None:
+    (x_low, x_high), (y_low, y_high) = OBSTACLE.intervals["x"], OBSTACLE.intervals["y"]
+    size = (x_high - x_low, y_high - y_low)
+    style = {"fill": False, "edgecolor": INK, "lw": 1.6, "hatch": "////", "alpha": 0.8}
+    axes.add_patch(Rectangle((x_low, y_low), *size, label="the obstacle", zorder=4, **style))
+
+
+def draw_early(result: Result) -> Figure:
+    """Draw the share of drives for which a monitor knows, against how far the car has come."""
+    figure = column(2.6)
+    axes = figure.subplots()
+    front, back = OBSTACLE.intervals["y"]
+    axes.axvspan(front, back, color=FAINT, alpha=0.25, lw=0, label="beside the obstacle")
+    y = np.linspace(0.0, GOAL_LINE, 400)
+    for name, style, field in (
+        ("the region or one next to it comes first", "-", "near"),
+        ("the true region comes first", "--", "exact"),
+    ):
+        known = np.array([getattr(one, field) for one in result.early])
+        share = (known <= y[:, None]).mean(axis=1)
+        axes.plot(y, share, ls=style, color=COLOURS(1.0), lw=1.3, label=name)
+    axes.set(xlim=(3.0, GOAL_LINE), ylim=(-0.02, 1.02))
+    axes.set_xlabel("y of the car [m]", fontsize=SIZE)
+    axes.set_ylabel("share of the drives", fontsize=SIZE)
+    open_sides(axes, SMALL)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=1,
+                  fontsize=SMALL, frameon=False)  # fmt: skip
+    return figure
+
+
+def summary(result: Result) -> str:
+    """Return the tables as Markdown."""
+    return (
+        _count_table(result)
+        + _fact_table(result)
+        + _region_table(result)
+        + time_table(result.seconds)
+    )
+
+
+def _count_table(result: Result) -> str:
+    beta, num = result.evidence.problem.beta, len(result.drives)
+    rows = [["the paper, beta 200", "7", *(str(PAPER[name]) for name in VERDICTS), ""]]
+    for name, singles in (
+        (f"Swerve, beta {beta:.3g}", result.singles),
+        (f"samples of beta {PAPER_BETA:g}", result.paper),
+    ):
+        found, tied = counts(singles), np.mean([one.tied for one in singles])
+        shares = [f"{count} ({count / num:.0%})" for count in found.values()]
+        rows.append([name, str(num), *shares, f"{tied:.1f}"])
+    titles = ["single drives", "number", *VERDICTS, "regions tied for the first, mean"]
+    return markdown(titles, rows)
+
+
+def _fact_table(result: Result) -> str:
+    fit, front = result.fit, OBSTACLE.intervals["y"][0]
+    near, exact = (
+        np.array([getattr(one, field) for one in result.early]) for field in ("near", "exact")
+    )
+    low, high = fit.interval
+    seven = result.seven.posterior
+    paper = result.paper_evidence
+    first = verdict(int(result.seven.ranking[0]))
+    off, late = _ends(result)
+    rows = [
+        ["beta of drives with nothing in the way", f"{fit.beta:.3g} ({low:.3g} to {high:.3g})"],
+        ["drives with nothing in the way", str(len(result.free))],
+        ["nominal trajectories that leave the track", f"{off:.0%}"],
+        ["nominal trajectories that never arrive", f"{late:.0%}"],
+        ["effective sample size", _share(result.evidence.effective_sample_size[0], result)],
+        [f"the same at beta {PAPER_BETA:g}", _share(paper.effective_sample_size[0], result)],
+        ["first after seven drives", first],
+        ["posterior of the true region after seven", f"{seven.hypotheses[TRUTH]:.3f}"],
+        ["posterior of no constraint after seven", f"{seven.none:.2g}"],
+        ["random sets of seven with the truth first", f"{result.seven_share:.0%}"],
+        ["monitor: it or a neighbour, median y [m]", _median(near)],
+        ["monitor: the truth, median y [m]", _median(exact)],
+        ["monitor: it or a neighbour before the obstacle", f"{np.mean(near < front):.0%}"],
+        ["monitor: the truth before the obstacle", f"{np.mean(exact < front):.0%}"],
+    ]
+    return markdown(["what", "figure"], rows)
+
+
+def _share(effective: float, result: Result) -> str:
+    return f"{effective:.0f} of {result.scale.num_trajectories}"
+
+
+def _median(values: np.ndarray) -> str:
+    """Return the median, those that never know counted as the largest."""
+    middle = float(np.median(np.where(np.isnan(values), math.inf, values)))
+    return f"{middle:.2f}" if math.isfinite(middle) else "never"
+
+
+def _ends(result: Result) -> tuple[float, float]:
+    """Return the shares of nominal trajectories that leave the track and that never arrive."""
+    last = result.evidence.samples.kept[0, :, -1]
+    off = (last[:, 0] < TRACK[0]) | (last[:, 0] > TRACK[1])
+    return float(off.mean()), float((~off & (last[:, 1] < GOAL_LINE)).mean())
+
+
+def _region_table(result: Result) -> str:
+    """Return what driving around each region of the right lane costs."""
+    evidence = result.evidence
+    rows = []
+    for index in range(NUM_ROWS, 2 * NUM_ROWS):
+        _, _, low, high = regions()[index]
+        error = evidence.standard_error[0, index]
+        floored = evidence.is_floored[0, index]
+        told = f"< {evidence.log_ratio[0, index]:.1f}" if floored else (
+            f"{evidence.log_ratio[0, index]:.1f} ± {error:.1f}"
+        )  # fmt: skip
+        rows.append([f"{low:.2f} to {high:.2f}", told])
+    return markdown(["right lane, y [m]", "log probability of avoiding it [nats]"], rows)
+
+
+def table(result: Result) -> str:
+    """Return what the terminal shows."""
+    num, found = len(result.drives), counts(result.singles)
+    belief = result.seven.posterior
+    return (
+        f"beta of drives with nothing in the way: {result.fit}\n"
+        f"single drives, first region: {found[EXACT]} of {num} exact, {found[NEXT]} next to it, "
+        f"{found[OTHER]} other (the paper: 3, 4, 0 of 7)\n"
+        f"after {SEVEN} drives the true region has {belief.hypotheses[TRUTH]:.3f}, no constraint "
+        f"{belief.none:.2g}"
+    )

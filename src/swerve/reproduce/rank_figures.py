@@ -1,0 +1,160 @@
+"""Figures and tables of ranks against the number of demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from swerve.figures import FAINT, INK, open_sides
+from swerve.reproduce.files import SIZE, SMALL, column, markdown
+from swerve.reproduce.ranks import Curve
+from swerve.reproduce.ways import DISCRETE, GRID, PPO, SOFT_VALUE, Answer
+from swerve.shading import COLOURS
+
+EXACT = "exact files"
+STYLES: dict[str, dict[str, Any]] = {
+    SOFT_VALUE: {"color": COLOURS(1.0), "ls": "-", "marker": "o", "ms": 3.2},
+    GRID: {"color": INK, "ls": "--", "marker": "x", "ms": 3.6},
+    PPO: {"color": COLOURS(0.62), "ls": "-.", "marker": "s", "ms": 2.8},
+    DISCRETE: {"color": FAINT, "ls": ":", "marker": "^", "ms": 3.2},
+    EXACT: {"color": INK, "ls": "none", "marker": "o", "ms": 6.0, "mfc": "none"},
+}
+LABELS = {GRID: "grid, exact", PPO: "PPO, plain average"}
+SHOWN = (1, 3, 5, 10, 20, 30, 65)  # sizes in the table
+
+
+class Line(NamedTuple):
+    """One curve of a panel.
+
+    Attributes:
+      way: how it is drawn, and what the legend calls it.
+      name: what tables call it.
+      curve: the ranks.
+    """
+
+    way: str
+    name: str
+    curve: Curve
+
+
+class Panel(NamedTuple):
+    """Curves of the same demonstrations.
+
+    Attributes:
+      source: their name.
+      model: by what model.
+      title: above the panel.
+      lines: the curves.
+    """
+
+    source: str
+    model: str
+    title: str
+    lines: list[Line]
+
+
+def lines_of(answers: Sequence[Answer]) -> list[Line]:
+    """Return the curve of each answer, named."""
+    return [Line(one.way.name, way_name(one), one.curve) for one in answers]
+
+
+def way_name(answer: Answer) -> str:
+    """Return what a way is called, with the settings of a table."""
+    name = answer.way.name
+    if name != DISCRETE:
+        return LABELS.get(name, name)
+    settings = dict(part.split("=") for part in answer.way.solver.partition("?")[2].split("&"))
+    return f"{name}, {settings['num_cells']} cells an axis, {settings['hold']} steps"
+
+
+def rank_rows(panels: Sequence[Panel]) -> list[list[str]]:
+    """Return the rows of a table of what panels show."""
+    rows = [["demonstrations", "model", "way", "num_demonstrations", "average_rank",
+             "interval_low", "interval_high", "first_share"]]  # fmt: skip
+    for panel in panels:
+        for line in panel.lines:
+            columns = (line.curve.rank, *line.curve.interval, line.curve.first)
+            for size, *values in zip(line.curve.sizes, *columns, strict=True):
+                cells = [f"{value:.4g}" for value in values]
+                rows.append([panel.source, panel.model, line.name, str(size), *cells])
+    return rows
+
+
+def draw_ranks(panels: Sequence[Panel]) -> Figure:
+    """Draw the average rank of the truth against the number of demonstrations."""
+    figure = column(0.6 + 2.0 * len(panels))
+    every = figure.subplots(len(panels), squeeze=False)[:, 0]
+    for axes, panel in zip(every, panels, strict=True):
+        for line in panel.lines:
+            label, style = LABELS.get(line.way, line.way), STYLES[line.way]
+            sizes, curve = line.curve.sizes, line.curve
+            axes.plot(sizes, curve.rank, lw=1.1, label=label, zorder=3, **style)
+            if line.way != EXACT:
+                axes.fill_between(sizes, *curve.interval, color=style["color"], alpha=0.14, lw=0)
+        axes.set_title(panel.title, fontsize=SIZE, loc="left", fontweight="bold")
+        _scales(axes, max(panel.lines[0].curve.sizes))
+    every[-1].set_xlabel("demonstrations", fontsize=SIZE)
+    named = dict(
+        pair[::-1] for axes in every for pair in zip(*axes.get_legend_handles_labels(), strict=True)
+    )
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=2,
+                  fontsize=SMALL, frameon=False, handlelength=3.2)  # fmt: skip
+    return figure
+
+
+def _scales(axes: Axes, most: int) -> None:
+    """Give both axes plain numbers on a logarithmic scale."""
+    axes.set(xscale="log", yscale="log", ylim=(0.9, 60.0), xlim=(0.9, 1.1 * most))
+    axes.set_ylabel("average rank of the truth", fontsize=SIZE)
+    sizes = [size for size in (1, 2, 5, 10, 20, 50) if size <= most]
+    axes.set_xticks(sizes, labels=[str(size) for size in sizes])
+    ranks = (1, 2, 5, 10, 20, 50)
+    axes.set_yticks(ranks, labels=[str(rank) for rank in ranks])
+    axes.minorticks_off()
+    axes.grid(axis="y", color=FAINT, alpha=0.25, lw=0.5)
+    open_sides(axes, SMALL)
+
+
+def rank_table(panels: Sequence[Panel]) -> str:
+    """Return average ranks and their intervals as Markdown."""
+    most = max(max(line.curve.sizes) for panel in panels for line in panel.lines)
+    shown = [size for size in SHOWN if size <= most]
+    rows = [
+        [panel.title, line.name, *(_cell(line.curve, size) for size in shown)]
+        for panel in panels
+        for line in panel.lines
+    ]
+    return markdown(["demonstrations and model", "way", *(str(size) for size in shown)], rows)
+
+
+def _cell(curve: Curve, size: int) -> str:
+    """Return average rank and its interval."""
+    if size not in curve.sizes:
+        return ""
+    place = curve.sizes.index(size)
+    low, high = (ends[place] for ends in curve.interval)
+    return f"{curve.rank[place]:.1f} ({low:.1f} to {high:.1f})"
+
+
+def time_table(seconds: dict[str, float]) -> str:
+    """Return how long what took as Markdown."""
+    rows = [[name, f"{value:.0f} s"] for name, value in seconds.items()]
+    return markdown(["what", "wall time"], rows)
+
+
+def rank_text(panels: Sequence[Panel]) -> str:
+    """Return what the terminal shows: the average ranks."""
+    lines = ["average rank of the truth by the number of demonstrations"]
+    for panel in panels:
+        lines.append(panel.title)
+        for line in panel.lines:
+            ranks = ", ".join(
+                f"{size}: {rank:.1f}"
+                for size, rank in zip(line.curve.sizes, line.curve.rank, strict=True)
+                if size in SHOWN
+            )
+            lines.append(f"  {line.name:<44} {ranks}")
+    return "\n".join(lines)
