@@ -48,8 +48,8 @@ NUM_FREE = 20  # drives with nothing in the way
 SEVEN = 7  # drives in the paper
 NUM_SETS = 200  # random sets of seven
 TOLERANCE = 0.05
-LADDER = (0.2, 0.4, 0.8, 1.6)  # betas at which the reward of drives is looked for
-BASE, SPAN = 0.6, 4.0  # of the network
+LADDER = (0.25, 0.4, 0.6, 0.85)  # betas at which the reward of drives is looked for
+BASE, SPAN = 0.45, 2.0  # of the network
 PAPER_BETA = 200.0
 TASK = Task(np.array(START), np.zeros(0))
 EXACT, NEXT, OTHER = "exact", "next to it", "other"
@@ -77,8 +77,8 @@ FULL = Scale(70, 10_000, SoftValue(beta_span=SPAN), SoftValue(num_steps=10_000_0
 QUICK = Scale(
     14,
     1_000,
-    SoftValue(num_steps=1_000_000, beta_span=SPAN, num_lanes=256),
-    SoftValue(num_steps=300_000, num_lanes=256),
+    SoftValue(num_steps=2_000_000, beta_span=SPAN),
+    SoftValue(num_steps=500_000),
     500,
 )
 

@@ -51,12 +51,16 @@ def write(result: Result, folder: Path) -> list[Path]:
     """
     return files.write(
         folder,
-        "car",
         [
             ("car_track", draw_track(result), region_rows(result)),
             ("car_early", draw_early(result), drive_rows(result)),
         ],
-        summary(result),
+        {
+            "car_drives": _count_table(result),
+            "car_facts": _fact_table(result),
+            "car_regions": _region_table(result),
+            "car_times": time_table(result.seconds),
+        },
     )
 
 
@@ -175,16 +179,6 @@ def draw_early(result: Result) -> Figure:
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=1,
                   fontsize=SMALL, frameon=False)  # fmt: skip
     return figure
-
-
-def summary(result: Result) -> str:
-    """Return the tables as Markdown."""
-    return (
-        _count_table(result)
-        + _fact_table(result)
-        + _region_table(result)
-        + time_table(result.seconds)
-    )
 
 
 def _count_table(result: Result) -> str:

@@ -28,8 +28,11 @@ def write(result: Result, folder: Path) -> list[Path]:
     """
     shown = [panel(result)]
     parts = [("double_pendulum_rank", draw_ranks(shown), rank_rows(shown))]
-    summary = rank_table(shown) + time_table(result.seconds)
-    return files.write(folder, "double_pendulum", parts, summary)
+    tables = {
+        "double_pendulum_ranks": rank_table(shown),
+        "double_pendulum_times": time_table(result.seconds),
+    }
+    return files.write(folder, parts, tables)
 
 
 def panel(result: Result) -> Panel:

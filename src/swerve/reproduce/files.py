@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -25,15 +25,16 @@ def column(height: float) -> Figure:
 
 
 def write(
-    folder: Path, name: str, parts: Sequence[tuple[str, Figure, list[list[str]]]], summary: str
+    folder: Path,
+    parts: Sequence[tuple[str, Figure, list[list[str]]]],
+    tables: Mapping[str, str],
 ) -> list[Path]:
-    """Write figures as PNG and SVG, the rows of their numbers as CSV, and a summary.
+    """Write figures as PNG and SVG, the rows of their numbers as CSV, and tables as Markdown.
 
     Args:
       folder: created if need be.
-      name: of the result; the summary is <name>.md.
       parts: the name of the files, the figure and the rows of each.
-      summary: tables as Markdown, which docs show as they are.
+      tables: Markdown by the name of its file, which the documentation shows as it is.
 
     Raises:
       OSError: if one cannot be written; files are replaced when complete.
@@ -45,15 +46,16 @@ def write(
         store.write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))
         store.write_bytes(path.with_suffix(".png"), _rendered(figure, "png"))
         written += [path.with_suffix(suffix) for suffix in (".png", ".svg", ".csv")]
-    path = folder / f"{name}.md"
-    store.write_text(path, summary)
-    return [*written, path]
+    for name, text in tables.items():
+        written.append(folder / f"{name}.md")
+        store.write_text(written[-1], text)
+    return written
 
 
 def markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as Markdown, with a line before and after it."""
+    """Return a table as Markdown."""
     lines = [titles, ["---"] * len(titles), *rows]
-    return "\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _rendered(figure: Figure, form: str) -> bytes:

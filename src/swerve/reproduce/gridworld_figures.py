@@ -55,12 +55,11 @@ def write(result: Result, folder: Path) -> list[Path]:
     """
     return files.write(
         folder,
-        "gridworld",
         [
             ("gridworld_curves", draw_curves(result), curve_rows(result)),
             ("gridworld_violations", draw_violations(result), violation_rows(result)),
         ],
-        summary(result),
+        {"gridworld_means": summary(result)},
     )
 
 
@@ -112,7 +111,7 @@ def summary(result: Result) -> str:
     ]
     titles = [f"{title}: false positives / picks, KL [nats]" for title, _, _ in columns]
     text = markdown(["demonstrations", *titles], rows)
-    return text + (f"{_agreed(result)}\n" if result.agreement is not None else "")
+    return text + (f"\n{_agreed(result)}\n" if result.agreement is not None else "")
 
 
 def _columns(result: Result) -> list[tuple[str, Curves, int]]:

@@ -47,14 +47,13 @@ def write(result: Result, folder: Path) -> list[Path]:
     """
     return files.write(
         folder,
-        "human_walk",
         [
             ("human_walk_map", draw_map(result), map_rows(result)),
             ("human_walk_belief", draw_belief(result), belief_rows(result)),
             ("human_walk_beta", draw_beta(result), beta_rows(result)),
             ("human_walk_sensitivity", draw_sensitivity(result), sensitivity_rows(result)),
         ],
-        summary(result),
+        {"human_walk_picks": summary(result)},
     )
 
 
@@ -68,7 +67,7 @@ def summary(result: Result) -> str:
             odds = f"{pick['log_odds']:.1f}" if "log_odds" in pick else ""
             rows.append([f"{answer.beta:.2f}", name, x, y, f"{pick['gain_nats']:.1f}{error}", odds])
     titles = ["beta [1/m]", "pick", "x [m]", "y [m]", "gain [nats]", "log odds of a constraint"]
-    return "\n".join(_head(result)) + "\n" + markdown(titles, rows)
+    return "; ".join(_head(result)) + ".\n\n" + markdown(titles, rows)
 
 
 def table(result: Result) -> str:

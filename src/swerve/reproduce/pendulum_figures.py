@@ -47,7 +47,10 @@ def write(result: Result, folder: Path) -> list[Path]:
     real = [panel for panel in shown if panel.source == REAL]
     if real:
         parts.append(("pendulum_rank_real", draw_ranks(real), rank_rows(real)))
-    return files.write(folder, "pendulum", parts, summary(result))
+    tables = {"pendulum_ranks": rank_table(shown), "pendulum_times": time_table(result.seconds)}
+    if result.exact:
+        tables["pendulum_nats"] = _nats_table(result)
+    return files.write(folder, parts, tables)
 
 
 def panels(result: Result) -> list[Panel]:
@@ -64,18 +67,13 @@ def panels(result: Result) -> list[Panel]:
     return found
 
 
-def summary(result: Result) -> str:
-    """Return the tables as Markdown."""
-    return rank_table(panels(result)) + _nats_table(result) + time_table(result.seconds)
-
-
 def table(result: Result) -> str:
     """Return what the terminal shows."""
     return rank_text(panels(result))
 
 
 def _nats_table(result: Result) -> str:
-    """Return nats and errors on the demonstrations of a folder; nothing without one."""
+    """Return nats and errors on the demonstrations of a folder."""
     rows = []
     for exact in result.exact:
         nats = [f"{exact.nats[cell]:.2f}" for cell in FOLLOWED]
@@ -84,7 +82,7 @@ def _nats_table(result: Result) -> str:
         rows += [[f"{exact.max_torque:g}", *_nats_row(one, exact)] for one in answers]
     cells = [f"cell {cell} [nats]" for cell in FOLLOWED]
     titles = ["torques to", "way", *cells, "error, median task", "error, worst task"]
-    return markdown(titles, rows) if rows else ""
+    return markdown(titles, rows)
 
 
 def _nats_row(answer: Answer, exact: Exact) -> list[str]:

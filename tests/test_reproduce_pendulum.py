@@ -1,0 +1,151 @@
+"""The pendulum's result on a small scale: files, what is kept, what is refused."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Run
+from matplotlib.image import imread
+
+from swerve.constraints import violates
+from swerve.reproduce import double_pendulum, made, pendulum, pendulum_figures
+from swerve.reproduce.ways import DISCRETE, GRID, SOFT_VALUE, Way, best_tables
+from swerve.systems.pendulum import pendulum as make_pendulum
+
+TABLES = tuple(Way(DISCRETE, f"discrete?num_cells={cells}&hold=10", None) for cells in (12, 20))
+SMALL = pendulum.Scale((10.0,), 3, 200, (Way(GRID, "grid?num_points=41", "smc"), *TABLES))
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pendulum, "QUICK", SMALL)
+
+
+@pytest.fixture
+def theirs(tmp_path: Path, shared_data: Path) -> Path:
+    """Three of the authors' demonstrations, with what is exact for them."""
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    for name in ("demo_002.csv", "demo_006.csv", "demo_009.csv", "tasks.csv"):
+        shutil.copy(shared_data / "pendulum" / name, folder)
+    for path in (shared_data / "pendulum").glob("exact_*.csv"):
+        shutil.copy(path, folder)
+    return folder
+
+
+@pytest.mark.usefixtures("small")
+def test_files_and_resuming(
+    run: Run, tmp_path: Path, theirs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("reproduce", "pendulum", "--quick", "--out", tmp_path / "out", "--data", theirs)
+    partial = tmp_path / "out" / "work" / "quick" / "C1.partial"
+    partial.mkdir(parents=True)
+    (partial / "demo_000.csv").write_text("cut sh")  # of a run that was interrupted
+    status, printed, said = run(*command)
+    assert status == 0, said
+    assert "C2, where it falls; torques to 10" in printed
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    names = ("pendulum_rank_torque10", "pendulum_rank_real")
+    assert written == {
+        "work",
+        *(f"{name}.{kind}" for name in names for kind in ("png", "svg", "csv")),
+        *(f"pendulum_{name}.md" for name in ("ranks", "nats", "times")),
+    }
+    with (tmp_path / "out" / "pendulum_rank_torque10.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["demonstrations"] for row in rows} == {"C1", "C2"}
+    assert {row["num_demonstrations"] for row in rows} == {"1", "2", "3"}
+    for row in rows:
+        low, rank, high = (
+            float(row[name]) for name in ("interval_low", "average_rank", "interval_high")
+        )
+        assert 1.0 <= low <= rank <= high
+    assert imread(tmp_path / "out" / "pendulum_rank_real.png").shape[1] == 1050
+    nats = (tmp_path / "out" / "pendulum_nats.md").read_text()
+    assert "exact files" in nats
+    first = (tmp_path / "out" / "pendulum_rank_torque10.csv").read_bytes()
+
+    def refuse(*arguments: object, **settings: object) -> None:
+        raise AssertionError("was made before")
+
+    monkeypatch.setattr(made, "optimal_control", refuse)
+    monkeypatch.setattr("swerve.sampling.sample_each", refuse)
+    assert run(*command)[0] == 0
+    assert (tmp_path / "out" / "pendulum_rank_torque10.csv").read_bytes() == first
+
+
+@pytest.mark.usefixtures("small")
+def test_demonstrations_avoid_their_cells(tmp_path: Path, theirs: Path) -> None:
+    result = pendulum.reproduce(tmp_path, theirs, is_quick=True)
+    problem = make_pendulum()
+    starts = []
+    for source in result.sources:
+        cell = problem.hypotheses.constraint(source.truth)
+        assert len(source.demonstrations) == 3
+        for one in source.demonstrations:
+            assert not violates(cell, one.states, problem.mdp.space, source.name != "real")
+            missed = problem.mdp.space.difference(one.states[-1], one.task.goal)
+            assert np.linalg.norm(missed) < 0.06
+            starts.append(tuple(one.states[0].round(4).tolist()))
+    assert len(set(starts)) == 9
+    # of two tables for the same demonstrations one is left, with the lower average rank
+    kept = [one for one in result.answers if one.way.name == DISCRETE]
+    assert [one.source for one in kept] == ["C1", "C2", "real"]
+    worse = kept[0]._replace(curve=kept[0].curve._replace(rank=kept[0].curve.rank + 1.0))
+    assert best_tables([worse, kept[0]]) == best_tables([kept[0], worse]) == [kept[0]]
+    named = {line.name for panel in pendulum_figures.panels(result) for line in panel.lines}
+    assert named & {f"MLCI-Discrete, {cells} cells an axis, 10 steps" for cells in (12, 20)}
+    assert set(result.seconds) >= {"C1: demonstrations", "torque 10: grid, sample C1"}
+    assert {one.max_torque for one in result.exact} == {10.0}
+
+
+@pytest.mark.usefixtures("small")
+def test_what_is_refused(run: Run, tmp_path: Path, theirs: Path) -> None:
+    command = ("reproduce", "pendulum", "--quick", "--out", tmp_path / "out")
+    (tmp_path / "empty").mkdir()
+    for data, message in (
+        (tmp_path / "none", "no such file"),
+        (tmp_path / "empty", "expected demo_*.csv and tasks.csv, found none"),
+    ):
+        status, _, said = run(*command, "--data", data)
+        assert (status, message in said) == (1, True), said
+    path = theirs / "demo_002.csv"
+    text = path.read_text().splitlines()
+    time = text[40].split(",")[0]
+    text[40] = f"{time},3.4,0.5,0.0"
+    path.write_text("\n".join(text))
+    status, _, said = run(*command, "--data", theirs)
+    assert status == 1
+    assert "demo_002" in said
+    for name in ("car", "double-pendulum"):
+        status, _, said = run("reproduce", name, "--out", tmp_path / "x", "--data", theirs)
+        assert status == 1
+        assert "leave --data out" in said
+    for arguments in (("--json", "--out", tmp_path / "x"), ()):
+        status, _, said = run("reproduce", "pendulum", *arguments)
+        assert status == 1
+        assert "pendulum: give --out" in said
+
+
+def test_the_double_pendulum(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = (
+        Way(SOFT_VALUE, "soft-value?num_steps=20000", "smc"),
+        Way(DISCRETE, "discrete?num_cells=6&hold=10", None),
+    )
+    monkeypatch.setattr(double_pendulum, "QUICK", double_pendulum.Scale(2, 200, ways))
+    status, printed, said = run(
+        "reproduce", "double-pendulum", "--quick", "--out", tmp_path / "out"
+    )
+    assert status == 0, said
+    assert "soft value + SMC" in printed
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"double_pendulum_rank.csv", "double_pendulum_ranks.md"} <= names
+    with (tmp_path / "out" / "double_pendulum_rank.csv").open() as file:
+        assert {row["way"] for row in csv.DictReader(file)} == {
+            "soft value + SMC",
+            "MLCI-Discrete, 6 cells an axis, 10 steps",
+        }
