@@ -13,6 +13,7 @@ Shapes: D drives, H hypotheses, L states of a drive.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +27,7 @@ from swerve.demonstrators.driver import START, drives
 from swerve.evidence import Evidence
 from swerve.foresight import Foresight
 from swerve.foresight_training import foresee
+from swerve.grids import grid
 from swerve.inference import Inference, infer
 from swerve.monitor import Monitor
 from swerve.nominal import Nominal, learn, load_nominal, save_nominal
@@ -42,8 +44,6 @@ from swerve.systems.car import GOAL_LINE, NUM_LANES, NUM_ROWS, TRACK, Car, car
 from swerve.temperature import BetaFit, fit_beta
 
 OBSTACLE = Box(x=(-0.3, 0.2), y=(6.7, 7.4))
-ROW = 11  # of the region that holds most of it
-TRUTH = NUM_ROWS + ROW  # right lane
 NUM_FREE = 20  # drives with nothing in the way
 SEVEN = 7  # drives in the paper
 NUM_SETS = 200  # random sets of seven
@@ -59,27 +59,45 @@ class Scale(NamedTuple):
     """How much is done.
 
     Attributes:
+      dt: duration of a step of the model [s].
+      num_rows: of regions along the track.
       num_drives: around the obstacle.
       num_trajectories: sampled.
       solver: of the nominal distribution.
       paper_solver: of that at the paper's beta.
       num_rollouts: that foresight is learned from.
+      num_updates: of it.
     """
 
+    dt: float
+    num_rows: int
     num_drives: int
     num_trajectories: int
     solver: SoftValue
     paper_solver: SoftValue
     num_rollouts: int
+    num_updates: int
 
 
-FULL = Scale(70, 10_000, SoftValue(beta_span=SPAN), SoftValue(num_steps=10_000_000), 6_000)
+FULL = Scale(
+    dt=0.05,
+    num_rows=NUM_ROWS,
+    num_drives=70,
+    num_trajectories=10_000,
+    solver=SoftValue(beta_span=SPAN),
+    paper_solver=SoftValue(num_steps=10_000_000, learning_rate=3e-4),
+    num_rollouts=6_000,
+    num_updates=10_000,
+)
 QUICK = Scale(
-    14,
-    1_000,
-    SoftValue(num_steps=2_000_000, beta_span=SPAN),
-    SoftValue(num_steps=500_000),
-    500,
+    dt=0.25,
+    num_rows=7,
+    num_drives=14,
+    num_trajectories=2_000,
+    solver=SoftValue(num_steps=1_500_000, beta_span=SPAN),
+    paper_solver=SoftValue(num_steps=300_000, learning_rate=3e-4),
+    num_rollouts=1_000,
+    num_updates=2_000,
 )
 
 
@@ -89,11 +107,13 @@ class Single(NamedTuple):
     Attributes:
       first: the region that comes first.
       tied: regions that cannot be told from it, itself included.
+      bounds: regions that it leaves out and of which the samples give a bound alone.
       posterior: [H + 1] probabilities, that of no constraint last.
     """
 
     first: int
     tied: int
+    bounds: int
     posterior: np.ndarray
 
 
@@ -160,7 +180,7 @@ def reproduce(
     folder = folder / ("quick" if is_quick else "full")
     folder.mkdir(parents=True, exist_ok=True)
     clock = Clock(folder / "seconds.json")
-    base = car(BASE)
+    base = model(scale, BASE)
     made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
     free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
     keep = _Keep(folder, clock, seed, progress)
@@ -169,13 +189,13 @@ def reproduce(
     fit, evidence = _fitted(network, free, scale.num_trajectories, keep)
     nominal = network.at_beta(evidence.problem.beta)
     evidence = _resolved(nominal, evidence, made, folder / "resolved.evidence", keep)
-    foresight = _foresight(nominal, evidence, scale.num_rollouts, keep)
+    foresight = _foresight(nominal, evidence, scale, keep)
     with progress_bar("monitoring", len(made), progress) as advance:
         early = []
         for drive in made:
-            early.append(_early(evidence, foresight, drive))
+            early.append(_early(evidence, foresight, drive, scale.num_rows))
             advance(1)
-    paper = keep.nominal("paper", car(PAPER_BETA), scale.paper_solver)
+    paper = keep.nominal("paper", model(scale, PAPER_BETA), scale.paper_solver)
     paper_evidence = keep.evidence("paper", paper, scale.num_trajectories)
     return Result(
         scale,
@@ -186,29 +206,41 @@ def reproduce(
         [_single(evidence, drive) for drive in made],
         early,
         infer(evidence, made[:SEVEN], tolerance=TOLERANCE),
-        _seven_share(evidence, made, seed),
+        _seven_share(evidence, made, truth(scale.num_rows), seed),
         [_single(paper_evidence, drive) for drive in made],
         paper_evidence,
         clock.seconds,
     )
 
 
-def verdict(index: int) -> str:
+def model(scale: Scale, beta: float) -> Problem:
+    """Return the car in steps of scale.dt, in as much time as always, and its regions."""
+    usual = Car()
+    mdp = Car(dt=scale.dt, num_steps=round(usual.dt * usual.num_steps / scale.dt))
+    cells = grid(x=(*TRACK, NUM_LANES), y=(0.0, GOAL_LINE, scale.num_rows))
+    return dataclasses.replace(car(beta), mdp=mdp, hypotheses=cells)
+
+
+def truth(num_rows: int) -> int:
+    """Return the index of the region that holds the middle of the obstacle, in the right lane."""
+    return num_rows + int(num_rows * sum(OBSTACLE.intervals["y"]) / 2.0 / GOAL_LINE)
+
+
+def verdict(index: int, num_rows: int) -> str:
     """Return whether a region is the true one, next to it, or another."""
-    lane, row = divmod(index, NUM_ROWS)
-    steps = abs(lane - TRUTH // NUM_ROWS) + abs(row - ROW)
-    return (EXACT, NEXT, OTHER)[min(steps, 2)]
+    (lane, row), (true_lane, true_row) = (divmod(one, num_rows) for one in (index, truth(num_rows)))
+    return (EXACT, NEXT, OTHER)[min(abs(lane - true_lane) + abs(row - true_row), 2)]
 
 
-def regions() -> np.ndarray:
+def regions(num_rows: int) -> np.ndarray:
     """Return x and y of the corners of each region [H, 4]: x low, x high, y low, y high [m]."""
     x = np.linspace(*TRACK, NUM_LANES + 1)
-    y = np.linspace(0.0, GOAL_LINE, NUM_ROWS + 1)
+    y = np.linspace(0.0, GOAL_LINE, num_rows + 1)
     return np.array(
         [
             [x[lane], x[lane + 1], y[row], y[row + 1]]
             for lane in range(NUM_LANES)
-            for row in range(NUM_ROWS)
+            for row in range(num_rows)
         ]
     )
 
@@ -305,29 +337,37 @@ def _resolved(
     return evidence
 
 
-def _foresight(nominal: Nominal, evidence: Evidence, num: int, keep: _Keep) -> Foresight:
+def _foresight(nominal: Nominal, evidence: Evidence, scale: Scale, keep: _Keep) -> Foresight:
     path = keep.folder / "foresight"
     if not path.exists():
         with keep.clock.timing("foresee"):
             foresee(
-                nominal, evidence, num_trajectories=num, seed=keep.seed, progress=keep.progress
+                nominal,
+                evidence,
+                num_trajectories=scale.num_rollouts,
+                num_updates=scale.num_updates,
+                seed=keep.seed,
+                progress=keep.progress,
             ).save(path)
     return Foresight.load(path, nominal.problem)
 
 
 def _single(evidence: Evidence, drive: Demonstration) -> Single:
     result = infer(evidence, [drive], tolerance=TOLERANCE)
-    belief = result.posterior
+    belief, bounds = result.posterior, result.is_lower_bound & ~result.entered[0]
     return Single(
-        int(result.ranking[0]), len(result.leaders), np.append(belief.hypotheses, belief.none)
+        int(result.ranking[0]),
+        len(result.leaders),
+        int(bounds.sum()),
+        np.append(belief.hypotheses, belief.none),
     )
 
 
-def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration) -> Early:
+def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration, num_rows: int) -> Early:
     """Return from where on a monitor has the truth first, and it or a neighbour."""
     course = follow(Monitor(evidence, TASK, foresight, tolerance=TOLERANCE), drive)
     first = course.log_likelihood.argmax(axis=1)
-    found = [verdict(int(index)) for index in first]
+    found = [verdict(int(index), num_rows) for index in first]
     y = np.append(drive.states[:, 1], drive.states[-1, 1])
     exact, near = ([one in right for one in found] for right in ((EXACT,), (EXACT, NEXT)))
     return Early(_from(y, exact), _from(y, near))
@@ -341,10 +381,10 @@ def _from(y: np.ndarray, holds: list[bool]) -> float:
     return float(y[wrong[-1] + 1]) if len(wrong) else float(y[0])
 
 
-def _seven_share(evidence: Evidence, made: list[Demonstration], seed: int) -> float:
+def _seven_share(evidence: Evidence, made: list[Demonstration], true: int, seed: int) -> float:
     """Return the share of random sets of seven for which the truth comes first."""
     generator = np.random.default_rng(seed)
     said = infer(evidence, made, tolerance=TOLERANCE).contributions
     num = min(SEVEN, len(made))
     sets = [generator.choice(len(made), num, replace=False) for _ in range(NUM_SETS)]
-    return float(np.mean([said[chosen].sum(axis=0).argmax() == TRUTH for chosen in sets]))
+    return float(np.mean([said[chosen].sum(axis=0).argmax() == true for chosen in sets]))

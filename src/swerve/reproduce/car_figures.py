@@ -24,16 +24,16 @@ from swerve.reproduce.car import (
     OTHER,
     PAPER_BETA,
     SEVEN,
-    TRUTH,
     Result,
     Single,
     regions,
+    truth,
     verdict,
 )
 from swerve.reproduce.files import SIZE, SMALL, column, markdown
 from swerve.reproduce.rank_figures import time_table
 from swerve.shading import COLOURS
-from swerve.systems.car import GOAL_LINE, NUM_ROWS, TRACK
+from swerve.systems.car import GOAL_LINE, TRACK
 
 VERDICTS = (EXACT, NEXT, OTHER)
 PAPER = {EXACT: 3, NEXT: 4, OTHER: 0}  # of seven drives
@@ -64,9 +64,9 @@ def write(result: Result, folder: Path) -> list[Path]:
     )
 
 
-def counts(singles: Sequence[Single]) -> dict[str, int]:
+def counts(singles: Sequence[Single], num_rows: int) -> dict[str, int]:
     """Return for how many drives the first region is the true one, next to it, or another."""
-    found = Counter(verdict(one.first) for one in singles)
+    found = Counter(verdict(one.first, num_rows) for one in singles)
     return {name: found[name] for name in VERDICTS}
 
 
@@ -80,7 +80,7 @@ def region_rows(result: Result) -> list[list[str]]:
     single, seven = mean_posterior(result.singles), result.seven.posterior
     rows = [["region", "x_low_m", "x_high_m", "y_low_m", "y_high_m", "log_avoid_nats",
              "posterior_of_one_drive", "posterior_of_seven"]]  # fmt: skip
-    for index, corners in enumerate(regions()):
+    for index, corners in enumerate(regions(result.scale.num_rows)):
         numbers = (
             *corners,
             result.evidence.log_ratio[0, index],
@@ -93,11 +93,16 @@ def region_rows(result: Result) -> list[list[str]]:
 
 def drive_rows(result: Result) -> list[list[str]]:
     """Return the rows of a table of what each drive tells, and when."""
-    rows = [["drive", "first", "is", "tied", "y_exact_m", "y_near_m", "paper_beta_first",
+    rows = [["drive", "first", "is", "tied", "bounds", "y_exact_m", "y_near_m", "paper_beta_first",
              "paper_beta_tied"]]  # fmt: skip
     every = zip(result.drives, result.singles, result.early, result.paper, strict=True)
     for drive, single, early, paper in every:
-        cells = (single.first, verdict(single.first), single.tied, f"{early.exact:.4g}")
+        cells = (
+            single.first,
+            verdict(single.first, result.scale.num_rows),
+            single.tied,
+            f"{early.exact:.4g}",
+        )
         more = (f"{early.near:.4g}", paper.first, paper.tied)
         rows.append([drive.name, *(str(cell) for cell in (*cells, *more))])
     return rows
@@ -112,7 +117,7 @@ def draw_track(result: Result) -> Figure:
         (left, mean_posterior(result.singles)[:-1], "after one drive"),
         (right, seven, f"after {SEVEN} drives"),
     ):
-        for corners, value in zip(regions(), values, strict=True):
+        for corners, value in zip(regions(result.scale.num_rows), values, strict=True):
             _shade(axes, corners, float(value))
         axes.set_title(title, fontsize=SIZE, loc="left", fontweight="bold")
         axes.set(xlim=TRACK, ylim=(0.0, GOAL_LINE))
@@ -183,15 +188,17 @@ def draw_early(result: Result) -> Figure:
 
 def _count_table(result: Result) -> str:
     beta, num = result.evidence.problem.beta, len(result.drives)
-    rows = [["the paper, beta 200", "7", *(str(PAPER[name]) for name in VERDICTS), ""]]
+    rows = [["the paper, beta 200", "7", *(str(PAPER[name]) for name in VERDICTS), "", ""]]
     for name, singles in (
         (f"Swerve, beta {beta:.3g}", result.singles),
         (f"samples of beta {PAPER_BETA:g}", result.paper),
     ):
-        found, tied = counts(singles), np.mean([one.tied for one in singles])
+        found, tied = counts(singles, result.scale.num_rows), np.mean([one.tied for one in singles])
         shares = [f"{count} ({count / num:.0%})" for count in found.values()]
-        rows.append([name, str(num), *shares, f"{tied:.1f}"])
-    titles = ["single drives", "number", *VERDICTS, "regions tied for the first, mean"]
+        bounds = sum(one.bounds > 0 for one in singles)
+        rows.append([name, str(num), *shares, f"{tied:.1f}", str(bounds)])
+    titles = ["single drives", "number", *VERDICTS, "regions tied for the first, mean",
+              "drives that leave out a region with a bound alone"]  # fmt: skip
     return markdown(titles, rows)
 
 
@@ -201,9 +208,9 @@ def _fact_table(result: Result) -> str:
         np.array([getattr(one, field) for one in result.early]) for field in ("near", "exact")
     )
     low, high = fit.interval
-    seven = result.seven.posterior
-    paper = result.paper_evidence
-    first = verdict(int(result.seven.ranking[0]))
+    seven, num_rows = result.seven.posterior, result.scale.num_rows
+    true, paper = seven.hypotheses[truth(num_rows)], result.paper_evidence
+    first = verdict(int(result.seven.ranking[0]), num_rows)
     off, late = _ends(result)
     rows = [
         ["beta of drives with nothing in the way", f"{fit.beta:.3g} ({low:.3g} to {high:.3g})"],
@@ -213,7 +220,10 @@ def _fact_table(result: Result) -> str:
         ["effective sample size", _share(result.evidence.effective_sample_size[0], result)],
         [f"the same at beta {PAPER_BETA:g}", _share(paper.effective_sample_size[0], result)],
         ["first after seven drives", first],
-        ["posterior of the true region after seven", f"{seven.hypotheses[TRUTH]:.3f}"],
+        [
+            "posterior of the true region after seven",
+            f"{true:.3f}",
+        ],
         ["posterior of no constraint after seven", f"{seven.none:.2g}"],
         ["random sets of seven with the truth first", f"{result.seven_share:.0%}"],
         ["monitor: it or a neighbour, median y [m]", _median(near)],
@@ -244,9 +254,9 @@ def _ends(result: Result) -> tuple[float, float]:
 def _region_table(result: Result) -> str:
     """Return what driving around each region of the right lane costs."""
     evidence = result.evidence
-    rows = []
-    for index in range(NUM_ROWS, 2 * NUM_ROWS):
-        _, _, low, high = regions()[index]
+    rows, num_rows = [], result.scale.num_rows
+    for index in range(num_rows, 2 * num_rows):
+        _, _, low, high = regions(num_rows)[index]
         error = evidence.standard_error[0, index]
         floored = evidence.is_floored[0, index]
         told = f"< {evidence.log_ratio[0, index]:.1f}" if floored else (
@@ -258,12 +268,12 @@ def _region_table(result: Result) -> str:
 
 def table(result: Result) -> str:
     """Return what the terminal shows."""
-    num, found = len(result.drives), counts(result.singles)
+    num, found = len(result.drives), counts(result.singles, result.scale.num_rows)
     belief = result.seven.posterior
+    true = belief.hypotheses[truth(result.scale.num_rows)]
     return (
         f"beta of drives with nothing in the way: {result.fit}\n"
         f"single drives, first region: {found[EXACT]} of {num} exact, {found[NEXT]} next to it, "
         f"{found[OTHER]} other (the paper: 3, 4, 0 of 7)\n"
-        f"after {SEVEN} drives the true region has {belief.hypotheses[TRUTH]:.3f}, no constraint "
-        f"{belief.none:.2g}"
+        f"after {SEVEN} drives the true region has {true:.3f}, no constraint {belief.none:.2g}"
     )

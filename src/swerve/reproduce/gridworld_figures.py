@@ -106,12 +106,14 @@ def summary(result: Result) -> str:
     """Return means over the sets as Markdown."""
     columns = _columns(result)
     rows = [
-        [str(size), *(cell.strip() for cell in _means(columns, place))]
-        for place, size in enumerate(result.curves.sizes)
+        [str(size), *(f"{false:.1f} / {picks:.1f}, {kl:.3f}" for false, picks, kl in means)]
+        for size, means in (
+            (size, _means(columns, place)) for place, size in enumerate(result.curves.sizes)
+        )
     ]
-    titles = [f"{title}: false positives / picks, KL [nats]" for title, _, _ in columns]
-    text = markdown(["demonstrations", *titles], rows)
-    return text + (f"\n{_agreed(result)}\n" if result.agreement is not None else "")
+    text = "Means over the sets: false positives / picks, KL in nats.\n\n"
+    text += markdown(["demonstrations", *(title for title, _, _ in columns)], rows)
+    return text + (f"\n{_agreed(result)}.\n" if result.agreement is not None else "")
 
 
 def _columns(result: Result) -> list[tuple[str, Curves, int]]:
@@ -122,15 +124,14 @@ def _columns(result: Result) -> list[tuple[str, Curves, int]]:
     ]
 
 
-def _means(columns: list[tuple[str, Curves, int]], place: int) -> list[str]:
+def _means(columns: list[tuple[str, Curves, int]], place: int) -> list[tuple[float, float, float]]:
     """Return false positives, picks and KL [nats] at one size, by each curve."""
-    cells = []
+    found = []
     for _, curves, k in columns:
-        false, picks, kl = (
-            values[k, :, place].mean() for values in (curves.num_false, curves.num_picks, curves.kl)
-        )
-        cells.append(f"{false:>5.1f} /{picks:>5.1f}{round(kl, 3) + 0.0:>7.3f}")
-    return cells
+        every = (curves.num_false, curves.num_picks, curves.kl)
+        false, picks, kl = (float(values[k, :, place].mean()) for values in every)
+        found.append((false, picks, round(kl, 3) + 0.0))
+    return found
 
 
 def _agreed(result: Result) -> str:
@@ -150,7 +151,9 @@ def table(result: Result) -> str:
         "  ".join([f"{'demonstrations':>14}", *(f"{title:>19}" for title, _, _ in columns)]),
     ]
     for place, size in enumerate(result.curves.sizes):
-        lines.append("  ".join([f"{size:>14}", *_means(columns, place)]))
+        means = _means(columns, place)
+        cells = [f"{false:>5.1f} /{picks:>5.1f}{kl:>7.3f}" for false, picks, kl in means]
+        lines.append("  ".join([f"{size:>14}", *cells]))
     if result.agreement is not None:
         lines.append(_agreed(result))
     return "\n".join(lines)

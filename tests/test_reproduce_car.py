@@ -1,0 +1,130 @@
+"""The car's result on a small scale, and what it is made of."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Run
+
+from swerve import Car, infer
+from swerve.demonstrators.driver import drives
+from swerve.exact import Drawn, ExactAnswer, exact_evidence
+from swerve.reproduce import car
+from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, regions, truth, verdict
+from swerve.solvers.soft_value import SoftValue
+from swerve.temperature import BetaFit
+
+SMALL = car.Scale(
+    dt=0.25,
+    num_rows=7,
+    num_drives=8,
+    num_trajectories=200,
+    solver=SoftValue(num_steps=60_000, num_lanes=64, beta_span=car.SPAN),
+    paper_solver=SoftValue(num_steps=30_000, num_lanes=64, learning_rate=1e-5),
+    num_rollouts=100,
+    num_updates=50,
+)
+
+
+@pytest.mark.parametrize("num_rows", [14, 7, 4])
+def test_the_true_region_holds_the_middle_of_the_obstacle(num_rows: int) -> None:
+    x_low, x_high, y_low, y_high = regions(num_rows)[truth(num_rows)]
+    (left, right), (front, back) = OBSTACLE.intervals["x"], OBSTACLE.intervals["y"]
+    assert (x_low, x_high) == pytest.approx((left, right))
+    assert y_low < 0.5 * (front + back) < y_high
+    cells = car.model(SMALL._replace(num_rows=num_rows), 0.4).hypotheses
+    for index, corners in enumerate(regions(num_rows)):
+        middle = np.array([corners[:2].mean(), corners[2:].mean(), 0.0, 1.0])
+        space = car.model(SMALL, 0.4).mdp.space
+        assert cells.constraint(index).contains(middle, space)
+
+
+def test_verdicts() -> None:
+    true = truth(14)
+    assert verdict(true, 14) == EXACT
+    assert {verdict(true + step, 14) for step in (-1, 1, -14)} == {NEXT}
+    assert {verdict(true + step, 14) for step in (-2, 2, -13, -15)} == {OTHER}
+    assert verdict(14, 14) == OTHER  # the first of the right lane is not next to the left's last
+    assert verdict(13, 14) == OTHER
+
+
+def test_when_a_monitor_knows_for_good() -> None:
+    y = np.array([0.0, 1.0, 2.0, 3.0])
+    assert car._from(y, [True, True, True, True]) == 0.0
+    assert car._from(y, [True, False, True, True]) == 2.0
+    assert math.isnan(car._from(y, [True, True, True, False]))
+
+
+def test_beta_between_two() -> None:
+    assert car._between((0.2, -30.0), (0.8, -10.0), -20.0) == pytest.approx(0.4)
+    assert car._between((0.2, -30.0), (0.8, -10.0), -30.0) == pytest.approx(0.2)
+
+
+def test_what_one_drive_says_and_seven_say() -> None:
+    """By evidence in which driving around each region is known."""
+    problem = car.model(car.FULL, 0.5)
+    avoid = np.r_[np.full(14, 0.999), np.exp(np.linspace(-19.0, -6.0, 14))]
+    states = np.array([[[0.0, 0.0, 0.0, 1.0], [0.0, 8.6, 0.0, 1.0]]])
+    drawn = Drawn(states, np.zeros(1), np.ones(1, int), np.zeros((1, 4), np.uint8))
+    answer = ExactAnswer(0.0, np.log(avoid), drawn)
+    evidence = exact_evidence(problem.record, car.TASK, answer, "Toy()", 0)
+    made = drives(Car(), OBSTACLE, 12)
+    for drive in made:
+        single = car._single(evidence, drive)
+        entered = infer(evidence, [drive]).entered[0]
+        left_out = np.flatnonzero(~entered)
+        assert single.first == left_out[avoid[left_out].argmin()]
+        assert (single.tied, single.bounds) == (1, 0)
+        assert single.posterior.sum() == pytest.approx(1.0)
+    found = [verdict(car._single(evidence, drive).first, 14) for drive in made]
+    assert found.count(EXACT) > 6
+    assert found.count(OTHER) <= 1
+    # of sets of seven the truth comes first unless all of one leave out the region before it too
+    entered = infer(evidence, made).entered
+    assert not entered[:, truth(14)].any()
+    assert car._seven_share(evidence, made, truth(14), 0) > 0.9
+
+
+@pytest.mark.filterwarnings("ignore:training:RuntimeWarning")
+def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a network that has hardly learned, beta as it may be and nothing resolved."""
+    fit = BetaFit(0.45, (0.4, 0.5), 0.01, (0.3, 0.6), 0.95)
+    monkeypatch.setattr(car, "QUICK", SMALL)
+    monkeypatch.setattr(car, "fit_beta", lambda *arguments: fit)
+    monkeypatch.setattr(car, "resolve", lambda nominal, inference, **settings: inference.evidence)
+    command = ("reproduce", "car", "--quick", "--out", tmp_path / "out")
+    status, printed, said = run(*command)
+    assert status == 0, said
+    assert "after 7 drives the true region has" in printed
+    figures = {
+        f"car_{name}.{kind}" for name in ("track", "early") for kind in ("png", "svg", "csv")
+    }
+    tables = {f"car_{name}.md" for name in ("drives", "facts", "regions", "times")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"work", *figures, *tables}
+    with (tmp_path / "out" / "car_early.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == SMALL.num_drives
+    with (tmp_path / "out" / "car_track.csv").open() as file:
+        belief = {row["region"]: float(row["posterior_of_seven"]) for row in csv.DictReader(file)}
+    assert sum(belief.values()) == pytest.approx(1.0, abs=1e-3)
+    first = (tmp_path / "out" / "car_track.csv").read_bytes()
+
+    def refuse(*arguments: object, **settings: object) -> None:
+        raise AssertionError("was done before")
+
+    for name in ("learn", "sample", "foresee"):
+        monkeypatch.setattr(car, name, refuse)
+    assert run(*command)[0] == 0
+    assert (tmp_path / "out" / "car_track.csv").read_bytes() == first
+
+
+def test_drives_that_tell_no_beta(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = BetaFit(math.inf, (0.4, math.inf), math.nan, (0.3, 0.6), 0.95)
+    monkeypatch.setattr(car, "QUICK", SMALL)
+    monkeypatch.setattr(car, "fit_beta", lambda *arguments: fit)
+    with pytest.raises(ValueError, match="the drives tell no beta: beta at the boundary"):
+        car.reproduce(tmp_path, is_quick=True)
