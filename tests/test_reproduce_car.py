@@ -23,7 +23,7 @@ SMALL = car.Scale(
     num_rows=7,
     num_drives=8,
     num_trajectories=200,
-    solver=SoftValue(num_steps=60_000, num_lanes=64, beta_span=car.SPAN),
+    solver=SoftValue(num_steps=60_000, num_lanes=64),
     paper_solver=SoftValue(num_steps=30_000, num_lanes=64, learning_rate=1e-5),
     num_rollouts=100,
     num_updates=50,
@@ -57,11 +57,6 @@ def test_when_a_monitor_knows_for_good() -> None:
     assert car._from(y, [True, True, True, True]) == 0.0
     assert car._from(y, [True, False, True, True]) == 2.0
     assert math.isnan(car._from(y, [True, True, True, False]))
-
-
-def test_beta_between_two() -> None:
-    assert car._between((0.2, -30.0), (0.8, -10.0), -20.0) == pytest.approx(0.4)
-    assert car._between((0.2, -30.0), (0.8, -10.0), -30.0) == pytest.approx(0.2)
 
 
 def test_what_one_drive_says_and_seven_say() -> None:

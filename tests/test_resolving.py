@@ -34,6 +34,9 @@ from swerve import (
 from swerve.constraints import violates
 from swerve.resolving import _is_likely
 from swerve.settings import Settings
+from swerve.solvers.soft_value import least_value
+from swerve.solvers.soft_value_training import SoftValuePolicy
+from swerve.solvers.training import TrainedNominal
 from swerve.work import Work
 
 RARE = 17  # 5e-6 of the nominal trajectories avoid this cell
@@ -256,3 +259,24 @@ def test_what_cannot_be_done_is_said() -> None:
     other = learn(short_cart(beta=1.0), "grid?num_points=61")
     with pytest.raises(ValueError, match="the evidence is of another problem"):
         resolve(other, infer(evidence, []))
+
+
+def test_who_has_to_enter_lies_a_hundred_nats_below_the_worst() -> None:
+    """The network has to follow the cliff, which at -10,000 nats it could not."""
+    nominal = learn(rare_cart, TRAINED)
+    assert isinstance(nominal, TrainedNominal)
+    assert isinstance(nominal.policy, SoftValuePolicy)
+    trap = Box(x=(0.65, 9.0))  # too close to brake before it
+    narrower = dataclasses.replace(rare_cart, known=[trap])
+    worst = least_value(nominal.policy, 0)
+    adapted = next(iter(TRAINED.adapted(nominal, narrower, 0))).policy
+    assert isinstance(adapted, SoftValuePolicy)
+    floor = min(worst - 100.0, -100.0)
+    assert adapted.settings.floor == pytest.approx(floor)
+    goal = jnp.asarray(CART_TASK.goal, jnp.float32)
+    doomed, free = (
+        float(adapted.value(jnp.array(state), jnp.array(1), goal))
+        for state in ([0.62, 1.2], [-0.5, 0.0])
+    )
+    assert floor <= doomed < floor + 60.0
+    assert free > worst

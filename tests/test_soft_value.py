@@ -165,6 +165,8 @@ def test_training_has_settled_when_the_divergence_stops_improving() -> None:
         ({"num_lanes": 0}, "num_lanes: expected a whole number >= 1, got 0"),
         ({"trace": 1.5}, "trace: expected a number from 0 to 1, got 1.5"),
         ({"fade": 0.0}, "fade: expected a finite number > 0, got 0"),
+        ({"floor": 1.0}, "floor: expected a number from -10000 to below 0, got 1.0"),
+        ({"floor": -1e5}, "floor: expected a number from -10000"),
     ],
 )
 def test_settings_are_checked(settings: dict, message: str) -> None:

@@ -1,12 +1,11 @@
 """Which part of the track a swerving driver avoids (the paper, figure 4).
 
 Human-like drivers pass an obstacle in the right lane; the hypotheses are 2 x 14 regions of the
-track. Beta is that of drives with nothing in the way, by maximum likelihood; one soft value network
-serves a span of it. Nominal drivers enter every region of the right lane almost surely: what comes
-first among those that somebody left out rests on what driving around each would cost, which is
-worked out with the region in force (`resolving`). A drive may ignore the constraint with
-probability TOLERANCE, since no region is the obstacle exactly. The same by samples of the paper's
-beta comes beside it.
+track. Beta is that of drives with nothing in the way, by maximum likelihood. Nominal drivers enter
+every region of the right lane almost surely: what comes first among those that somebody left out
+rests on what driving around each would cost, which is worked out with the region in force
+(`resolving`). A drive may ignore the constraint with probability TOLERANCE, since no region is the
+obstacle exactly. The same by samples of the paper's beta comes beside it.
 
 Shapes: D drives, H hypotheses, L states of a drive.
 """
@@ -35,10 +34,8 @@ from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.reproduce.clock import Clock
 from swerve.resolving import resolve
-from swerve.rewards import total_rewards
 from swerve.sampling import sample
 from swerve.solvers.soft_value import SoftValue
-from swerve.solvers.training import TrainedNominal
 from swerve.space import Task
 from swerve.systems.car import GOAL_LINE, NUM_LANES, NUM_ROWS, TRACK, Car, car
 from swerve.temperature import BetaFit, fit_beta
@@ -48,8 +45,7 @@ NUM_FREE = 20  # drives with nothing in the way
 SEVEN = 7  # drives in the paper
 NUM_SETS = 200  # random sets of seven
 TOLERANCE = 0.05
-LADDER = (0.25, 0.4, 0.6, 0.85)  # betas at which the reward of drives is looked for
-BASE, SPAN = 0.45, 2.0  # of the network
+FIRST_BETA = 0.45  # at which that of the drives is looked for, from nearby
 PAPER_BETA = 200.0
 TASK = Task(np.array(START), np.zeros(0))
 EXACT, NEXT, OTHER = "exact", "next to it", "other"
@@ -84,7 +80,7 @@ FULL = Scale(
     num_rows=NUM_ROWS,
     num_drives=70,
     num_trajectories=10_000,
-    solver=SoftValue(beta_span=SPAN),
+    solver=SoftValue(num_steps=20_000_000),
     paper_solver=SoftValue(num_steps=10_000_000, learning_rate=3e-4),
     num_rollouts=6_000,
     num_updates=10_000,
@@ -94,7 +90,7 @@ QUICK = Scale(
     num_rows=7,
     num_drives=14,
     num_trajectories=2_000,
-    solver=SoftValue(num_steps=1_500_000, beta_span=SPAN),
+    solver=SoftValue(num_steps=1_000_000),
     paper_solver=SoftValue(num_steps=300_000, learning_rate=3e-4),
     num_rollouts=1_000,
     num_updates=2_000,
@@ -180,14 +176,10 @@ def reproduce(
     folder = folder / ("quick" if is_quick else "full")
     folder.mkdir(parents=True, exist_ok=True)
     clock = Clock(folder / "seconds.json")
-    base = model(scale, BASE)
     made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
     free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
     keep = _Keep(folder, clock, seed, progress)
-    network = keep.nominal("network", base, scale.solver)
-    assert isinstance(network, TrainedNominal)
-    fit, evidence = _fitted(network, free, scale.num_trajectories, keep)
-    nominal = network.at_beta(evidence.problem.beta)
+    fit, nominal, evidence = _fitted(scale, free, keep)
     evidence = _resolved(nominal, evidence, made, folder / "resolved.evidence", keep)
     foresight = _foresight(nominal, evidence, scale, keep)
     with progress_bar("monitoring", len(made), progress) as advance:
@@ -282,39 +274,16 @@ class _Keep(NamedTuple):
 
 
 def _fitted(
-    network: TrainedNominal, free: list[Demonstration], num: int, keep: _Keep
-) -> tuple[BetaFit, Evidence]:
-    """Return beta by maximum likelihood, and evidence sampled at it.
-
-    The mean reward of pi_0 rises with beta: where it passes that of the drives, they are held
-    against samples of that beta; what these say is sampled anew.
-    """
-    earned = float(np.mean(total_rewards(network.problem, free)))
-    before: tuple[float, float] | None = None
-    beta = LADDER[-1]
-    for rung in LADDER:
-        evidence = keep.evidence(f"beta_{rung:g}", network.at_beta(rung), num // 5)
-        expected = _mean_reward(evidence)
-        if expected >= earned:
-            beta = rung if before is None else _between(before, (rung, expected), earned)
-            break
-        before = (rung, expected)
-    evidence = keep.evidence("near", network.at_beta(beta), num)
-    fit = fit_beta(network.at_beta(beta).problem, evidence, free)
-    if fit.at_boundary or not network.covers(fit.beta):
+    scale: Scale, free: list[Demonstration], keep: _Keep
+) -> tuple[BetaFit, Nominal, Evidence]:
+    """Return beta by maximum likelihood, and what is learned and sampled of it."""
+    first = keep.nominal("first", model(scale, FIRST_BETA), scale.solver)
+    fit = fit_beta(first.problem, keep.evidence("first", first, scale.num_trajectories), free)
+    if fit.at_boundary:
         raise ValueError(f"the drives tell no beta: {fit}")
-    return fit, keep.evidence("fitted", network.at_beta(fit.beta), num)
-
-
-def _mean_reward(evidence: Evidence) -> float:
-    weight = np.exp(evidence.importance_log_weight[0])
-    return float((weight * evidence.samples.total_reward[0]).sum() / weight.sum())
-
-
-def _between(low: tuple[float, float], high: tuple[float, float], earned: float) -> float:
-    """Return the beta at which the mean reward is what was earned, by interpolation of logs."""
-    share = (earned - low[1]) / (high[1] - low[1])
-    return math.exp((1.0 - share) * math.log(low[0]) + share * math.log(high[0]))
+    beta = float(f"{fit.beta:.2g}")
+    nominal = keep.nominal("fitted", model(scale, beta), scale.solver)
+    return fit, nominal, keep.evidence("fitted", nominal, scale.num_trajectories)
 
 
 def _resolved(

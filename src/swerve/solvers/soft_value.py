@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
+from swerve.look_ahead import LOWEST
 from swerve.problem import Problem
 from swerve.solvers.soft_value_training import SoftValuePolicy, Trainer
 from swerve.solvers.training import TrainedNominal, TrainingSolver
@@ -29,6 +30,8 @@ SLACK = 1e-6  # relative, at the ends of the span of beta
 ADAPTING_SHARE = 0.1  # of the steps, for a round of adapting to one more known constraint
 ADAPTING_STEPS = 1_000_000  # of a round, at least, however easy the rest was to learn
 ADAPTING_ROUNDS = 5
+DOOMED = 100.0  # nats below the worst that there is without a constraint, of who has to enter it
+NUM_ASKED = 4096  # states, for that worst
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,8 @@ class SoftValue(TrainingSolver):
       width: of the two hidden layers.
       loss_scale: nats; errors are divided by 1 + |target| / this.
       fade: share of the horizon in which the terminal reward fades to 1 / e of itself.
+      floor: of states from which a known constraint cannot be avoided, and of whatever is worse
+        [nats]. Far below what matters, but no further: the network has to follow the cliff.
       beta_span: one network serves every beta from the problem's divided by this to that times it,
         which takes longer to learn as well; 1 for that of the problem alone.
     """
@@ -62,6 +67,7 @@ class SoftValue(TrainingSolver):
     width: int = 160
     loss_scale: float = 5.0
     fade: float = 0.04
+    floor: float = LOWEST
     beta_span: float = 1.0
 
     name = "soft-value"
@@ -70,6 +76,10 @@ class SoftValue(TrainingSolver):
         super().__post_init__()
         self.check_numbers(shares=("trace",), positive=("fade",))
         self.check_divides("num_minibatches", "segment")
+        if not LOWEST <= self.floor < 0.0:
+            raise ValueError(
+                f"SoftValue: floor: expected a number from {LOWEST:g} to below 0, got {self.floor}"
+            )
         if not (math.isfinite(self.beta_span) and self.beta_span >= 1.0):
             raise ValueError(f"SoftValue: beta_span: expected a number >= 1, got {self.beta_span}")
 
@@ -118,8 +128,9 @@ class SoftValue(TrainingSolver):
         Training goes on with these, from what was learned without them; it ends where it diverges.
         """
         num_steps = max(ADAPTING_STEPS, round(ADAPTING_SHARE * self.num_steps))
-        settings = replace(self, num_steps=num_steps)
         assert isinstance(nominal.policy, SoftValuePolicy)
+        floor = min(max(self.floor, least_value(nominal.policy, seed) - DOOMED), -DOOMED)
+        settings = replace(self, num_steps=num_steps, floor=floor)
         learned_for = nominal.policy.problem.beta
         trainer = settings.trainer(replace(problem, beta=learned_for), seed)
         first = trainer.initial_state()
@@ -136,3 +147,13 @@ class SoftValue(TrainingSolver):
         """Return whether the KL has not improved for PATIENCE chunks."""
         kl = [progress.kl for progress in history]
         return len(kl) > PATIENCE and min(kl[-PATIENCE:]) > IMPROVED * min(kl[:-PATIENCE])
+
+
+def least_value(policy: SoftValuePolicy, seed: int) -> float:
+    """Return the least soft value of states anywhere at any time, on the way to any goal [nats]."""
+    mdp = policy.problem.mdp
+    key_state, key_step, key_task = jax.random.split(jax.random.key(seed), 3)
+    states = jax.vmap(mdp.sample_state)(jax.random.split(key_state, NUM_ASKED))
+    steps = jax.random.randint(key_step, (NUM_ASKED,), 0, mdp.num_steps)
+    goals = jax.vmap(mdp.sample_task)(jax.random.split(key_task, NUM_ASKED)).goal
+    return float(jax.vmap(policy.value)(states, steps, goals).min())

@@ -83,7 +83,7 @@ class SoftValuePolicy(LookAhead):
         """Return V of what `inputs` returns."""
         output = self.network(features)[0]
         learned = losses.value_of_output(output, self.settings.loss_scale)
-        return jnp.maximum(learned + shape, LOWEST)
+        return jnp.maximum(learned + shape, self.settings.floor)
 
 
 class Trainer(NetworkTrainer):
@@ -113,7 +113,7 @@ class Trainer(NetworkTrainer):
             (2.0 * place - 1.0) * math.log(self.settings.beta_span)
         )
         log_probabilities, backed = policy.propose(*lane)
-        return log_probabilities, (*policy.inputs(*lane), jnp.maximum(backed, LOWEST))
+        return log_probabilities, (*policy.inputs(*lane), jnp.maximum(backed, self.settings.floor))
 
     def columns(
         self, network: DenseNetwork, segment: Segment
