@@ -17,6 +17,7 @@ from swerve import (
     Problem,
     SoftValue,
     Task,
+    Union,
     demonstrate,
     grid,
     learn,
@@ -71,6 +72,9 @@ def test_on_tables_they_follow_it_exactly() -> None:
     expected = 600 * np.array(list(weight.values())) / sum(weight.values())
     chi_squared = ((np.array(list(counts.values())) - expected) ** 2 / expected).sum()
     assert chi_squared < 24.3  # 7 degrees of freedom, p = 0.001
+    wall = Union("wall", [problem.hypotheses.constraint(k) for k in (1, 3, 4)])
+    with pytest.raises(ValueError, match="no trajectory of 4 steps avoids wall: choose another"):
+        demonstrate(problem, wall, task)
     for item in made[:5]:
         np.testing.assert_array_equal(np.diff(item.states, axis=0), item.actions)
 

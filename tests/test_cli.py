@@ -106,7 +106,7 @@ def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Pat
         ("made", ("--num", 3, "--tasks", tasks), "--num or --tasks, not both"),
         ("new", ("--tasks", tasks), "more than one demonstration would be '9'"),
         ("made/demo_001.csv/x", (), "cannot write in"),
-        ("new", ("--max-action", 3), "--max-action is for --by optimal-control"),
+        ("new", ("--max-action", 3), "are for --by optimal-control: leave"),
         ("new", ("--by", "optimal-control", "--solver", "grid"), "--solver is for --by boltzmann"),
         ("new", ("--by", "optimal-control", "--max-action", 0), "--max-action: expected a number"),
     ):

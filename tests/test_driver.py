@@ -80,6 +80,7 @@ def test_they_pass_on_the_side_with_room() -> None:
     [
         (Ball(0.1, x=0.0, y=7.0), r"expected a box in x and y, .*got ball"),
         (Box(y=(6.7, 7.4)), r"expected a box in x and y"),
+        (Box(x=(-0.3, 0.2), y=(-0.5, 0.5)), r"can pass, got .* hit 50 times: move it further"),
         (Box(x=(-0.6, 0.1), y=(6.7, 7.4)), r"expected 0.25 m of the track.*make it narrower"),
     ],
 )

@@ -27,6 +27,8 @@ from swerve import (
     optimal_control,
 )
 from swerve.constraints import Constraint, violates
+from swerve.demonstrators import optimal_control as module
+from swerve.demonstrators.transcription import Transcription
 from swerve.space import Actions
 from swerve.systems.pendulum import pendulum
 
@@ -47,7 +49,7 @@ class Puck(MDP):
     action_names = ("ax", "ay")
     actions = jnp.array([[-1.0, 0.0], [0.0, -1.0], [0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
     bounds = ((-3.0, 3.0), (-3.0, 3.0), (-2.0, 2.0), (-2.0, 2.0))
-    dt = 0.2
+    dt: float = eqx.field(default=0.2, static=True)
 
     def dynamics(self, state, action):
         speed = state[2:] + self.dt * action
@@ -210,6 +212,9 @@ class TestRealTasks:
         assert num_better >= 30
 
 
+RING = r"demo_000: from start .* no path was found .* 3 guesses|ends [\d.]+ from the goal"
+
+
 class TestRefusals:
     def test_a_start_inside_is_named_before_the_work(self) -> None:
         tasks = [ACROSS, Task(np.zeros(4), ACROSS.goal)]
@@ -226,7 +231,7 @@ class TestRefusals:
                 Box(x=(0.8, 2.2), y=(-1.0, -0.8)),
             ],
         )
-        with pytest.raises(ValueError, match=r"demo_000: from start .* 3 guesses|ends .* from the"):
+        with pytest.raises(ValueError, match=RING):
             optimal_control(PUCK, ring, ACROSS, limits=FREE, num_guesses=3)
 
     def test_a_goal_that_is_out_of_reach(self) -> None:
@@ -241,12 +246,50 @@ class TestRefusals:
 
     def test_an_episode_that_ends_early(self) -> None:
         problem = Problem(Puck(line=0.0), PUCK.hypotheses)
-        with pytest.raises(ValueError, match=r"Ends_Early.*more steps or more guesses"):
+        with pytest.raises(ValueError, match=r"Ends_Early.*choose fewer num_steps than 20"):
             optimal_control(problem, NOWHERE, ACROSS, limits=FREE, num_guesses=2)
 
     def test_what_has_no_sides(self) -> None:
         with pytest.raises(ValueError, match="expected a constraint with sides"):
             optimal_control(PUCK, Predicate("right", lambda s: s[..., 0] > 0.0), ACROSS)
+
+    @pytest.mark.parametrize(
+        ("constraint", "message"),
+        [
+            (Box(z=(0.0, 1.0)), "z"),
+            (ActionBox(push=(0.0, 1.0)), "push"),
+            (ActionBox(ax=(-np.inf, np.inf)), "forbids everything"),
+        ],
+    )
+    def test_a_constraint_of_another_system(self, constraint: Constraint, message: str) -> None:
+        with pytest.raises(ValueError, match=message):
+            optimal_control(PUCK, constraint, ACROSS)
+
+    def test_an_angle_has_no_sides(self) -> None:
+        task = Task(np.array([2.2, 0.3]), np.array([4.2, 0.0]))
+        with pytest.raises(ValueError, match="theta"):
+            optimal_control(pendulum(10.0), HalfSpace(3.5, theta=1.0), task)
+
+    def test_a_path_that_the_dynamics_do_not_make(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Were an expression wrong, no demonstration would come of it."""
+
+        def wrong(mdp: MDP, num_steps: int, limits: np.ndarray) -> object:
+            return Transcription(Puck(dt=0.25), num_steps, limits)
+
+        monkeypatch.setattr(module, "_transcription", lambda: wrong)
+        with pytest.raises(ValueError, match=r"2 Unlike_Dynamics.*write dynamics with arithmetic"):
+            optimal_control(PUCK, NOWHERE, ACROSS, limits=FREE, num_guesses=2)
+
+    def test_those_that_can_be_done_are_kept(self) -> None:
+        trap = Box(x=(-1.4, 9.0))
+        doomed = Task(np.array([-1.5, 0.0, 2.0, 0.0]), ACROSS.goal)
+        back = Task(np.array([-1.5, 0.0, 0.0, 0.0]), np.array([-2.0, 0.0, 0.0, 0.0]))
+        tasks, names = Task.stack([doomed, back, doomed]), ["a", "b", "c"]
+        settings = module.Settings(num_guesses=2)
+        (found,) = module.first_optima(PUCK, trap, tasks, 1, names, settings, 0, False)
+        assert found.demonstration.name == "b"
+        with pytest.raises(module.NoPathError, match="only 1 of 3 tasks can be done, 2 were"):
+            module.first_optima(PUCK, trap, tasks, 2, names, settings, 0, False)
 
     @pytest.mark.parametrize(
         ("settings", "message"),

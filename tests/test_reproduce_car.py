@@ -103,6 +103,9 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
     with (tmp_path / "out" / "car_early.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == SMALL.num_drives
+    assert {row["is"] for row in rows} <= {EXACT, NEXT, OTHER}
+    assert all(0 <= int(row["bounds"]) <= 14 for row in rows)
+    assert all(row["y_near_m"] == "nan" or 0.0 <= float(row["y_near_m"]) < 9.0 for row in rows)
     with (tmp_path / "out" / "car_track.csv").open() as file:
         belief = {row["region"]: float(row["posterior_of_seven"]) for row in csv.DictReader(file)}
     assert sum(belief.values()) == pytest.approx(1.0, abs=1e-3)

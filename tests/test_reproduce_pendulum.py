@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from command import Run
 from matplotlib.image import imread
 
 from swerve.constraints import violates
+from swerve.hypotheses import unpack
 from swerve.reproduce import double_pendulum, made, pendulum, pendulum_figures
 from swerve.reproduce.ways import DISCRETE, GRID, SOFT_VALUE, Way, best_tables
 from swerve.systems.pendulum import pendulum as make_pendulum
@@ -42,7 +44,7 @@ def test_files_and_resuming(
     run: Run, tmp_path: Path, theirs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = ("reproduce", "pendulum", "--quick", "--out", tmp_path / "out", "--data", theirs)
-    partial = tmp_path / "out" / "work" / "quick" / "C1.partial"
+    partial = tmp_path / "out" / "work" / "quick.seed0" / "C1.partial"
     partial.mkdir(parents=True)
     (partial / "demo_000.csv").write_text("cut sh")  # of a run that was interrupted
     status, printed, said = run(*command)
@@ -72,7 +74,7 @@ def test_files_and_resuming(
     def refuse(*arguments: object, **settings: object) -> None:
         raise AssertionError("was made before")
 
-    monkeypatch.setattr(made, "optimal_control", refuse)
+    monkeypatch.setattr(made, "first_optima", refuse)
     monkeypatch.setattr("swerve.sampling.sample_each", refuse)
     assert run(*command)[0] == 0
     assert (tmp_path / "out" / "pendulum_rank_torque10.csv").read_bytes() == first
@@ -101,6 +103,64 @@ def test_demonstrations_avoid_their_cells(tmp_path: Path, theirs: Path) -> None:
     assert named & {f"MLCI-Discrete, {cells} cells an axis, 10 steps" for cells in (12, 20)}
     assert set(result.seconds) >= {"C1: demonstrations", "torque 10: grid, sample C1"}
     assert {one.max_torque for one in result.exact} == {10.0}
+
+
+def test_exact_files_give_the_nats_of_the_method(shared_data: Path) -> None:
+    """METHOD, section 5: 13.4, 4.7, 4.3 and 3.1 nats, by all 33 demonstrations."""
+    folder = shared_data / "pendulum"
+    theirs = pendulum._read(folder, None)
+    scale = pendulum.FULL._replace(max_torques=(10.0,))
+    violation = pendulum._exact_violation(folder, scale, theirs)[10.0]
+    problem = make_pendulum(between_states=False)
+    bits = [
+        problem.hypotheses.violations(one.states[None], problem.mdp.space, False)
+        for one in theirs.demonstrations
+    ]
+    entered = unpack(np.concatenate(bits), 100)
+    answer = SimpleNamespace(
+        source="real",
+        model=pendulum.model(10.0),
+        way=SMALL.ways[0],
+        result=SimpleNamespace(entered=entered),
+        curve=SimpleNamespace(sizes=[1, 10, 30]),
+    )
+    exact = pendulum._exact(10.0, violation, [answer], 0)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_allclose(
+        exact.nats[list(pendulum.FOLLOWED)], [13.4, 4.7, 4.3, 3.1], atol=0.06
+    )
+    assert (~entered.any(axis=0)).sum() == 25
+    # average ranks 17.9, 2.2 and 1.0, over 200 subsets rather than 2,000
+    np.testing.assert_allclose(
+        exact.curve.rank, [17.9, 2.2, 1.0], atol=0.5 * 17.9 * 200**-0.5 + 0.1
+    )
+
+
+def test_exact_files_are_checked(theirs: Path) -> None:
+    path = theirs / "exact_violation_torque10.csv"
+    made_by = pendulum._read(theirs, None).demonstrations
+    rows = path.read_text().splitlines()
+    for kept, message in (
+        ([row for row in rows if not row.startswith("006")], "expected a row 006 .*got none"),
+        ([row.rpartition(",")[0] for row in rows], "a probability for each of the 100 cells"),
+        ([row.replace("0.", "3.") for row in rows], "a probability for each"),
+    ):
+        path.write_text("\n".join(kept))
+        with pytest.raises(ValueError, match=message):
+            pendulum.read_violation(path, made_by)
+
+
+def test_another_seed_makes_others_and_another_number_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pendulum, "QUICK", SMALL._replace(ways=TABLES[:1], num_demonstrations=1))
+    first, second = (pendulum.reproduce(tmp_path, is_quick=True, seed=seed) for seed in (0, 1))
+    starts = [one.sources[0].demonstrations[0].states[0] for one in (first, second)]
+    assert not np.allclose(*starts)
+    seconds = pendulum.reproduce(tmp_path, is_quick=True).seconds
+    assert seconds == first.seconds  # what is found again takes no time
+    monkeypatch.setattr(pendulum, "QUICK", SMALL)
+    with pytest.raises(ValueError, match="expected 3 demonstrations, found 1: remove it"):
+        pendulum.reproduce(tmp_path, is_quick=True)
 
 
 @pytest.mark.usefixtures("small")

@@ -35,6 +35,8 @@ FUNCTIONS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
     "rounding": lambda x, y: jnp.concatenate(
         [x % 2.0, jnp.remainder(x, -1.5), jnp.floor(x), jnp.ceil(y), jnp.round(x), jnp.sign(x)]
     ),
+    "halves": lambda x, y: jnp.round(jnp.array([0.5, 1.5, -0.5, 2.5]) + 0.0 * x[0]),
+    "conversions": lambda x, y: x.astype(jnp.int32) * 0.5 + (x > 0.0).astype(float) * x,
     "cases": lambda x, y: jnp.where((x > 0.0) & ~(x > y[0] + 1.0), x**2, jnp.abs(x)),
     "limits": lambda x, y: jnp.stack([x.max(), x.min(), x.prod(), jnp.clip(x[1], -0.1, 0.1)]),
     "matrices": lambda x, y: jnp.concatenate(
@@ -61,6 +63,24 @@ def test_values_and_derivatives(name: str) -> None:
     slope = casadi.Function("slope", [x, y], [casadi.jacobian(made(x, y), x)])
     expected = jax.jacobian(function)(jnp.asarray(X), jnp.asarray(Y))
     np.testing.assert_allclose(slope(X, Y).full(), expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda x: MATRIX[0][jnp.floor(x).astype(int)] * x, "gather at a place that depends"),
+        (lambda x: jax.lax.dynamic_slice(x, (x[0].astype(int),), (1,)), "dynamic_slice at a place"),
+        (lambda x: (x.astype(int) & 1) * x, "and of integers"),
+        (lambda x: (x.astype(int) // 2) * x, "div of integers"),
+        (lambda x: jax.lax.select_n(x.astype(int), x, x, -x), "more than two cases"),
+        (lambda x: jnp.sort(x), "sort"),
+    ],
+)
+def test_what_has_no_expression_is_refused_not_done_wrong(
+    function: Callable[[jax.Array], jax.Array], message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"friction: expected .*{message}"):
+        as_casadi(function, (3,), "friction")
 
 
 @pytest.mark.parametrize("mdp", [Pendulum(10.0), Car(), DoublePendulum(), Walker()])

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Literal
 import swerve
 from swerve.cli_options import Problem, Tasks, open_work, say
 
+SPARE = 2  # times as many tasks as are asked for, since optimal control cannot do them all
+
 if TYPE_CHECKING:
     from swerve.demonstrators.optimal_control import Optimum
 
@@ -24,6 +26,8 @@ def demonstrate(
     by: Literal["boltzmann", "optimal-control"] = "boltzmann",
     solver: str | None = None,
     max_action: float | None = None,
+    num_steps: int | None = None,
+    goal_tolerance: float = 0.05,
     seed: int = 0,
 ) -> None:
     """Make demonstrations that obey one of the hypotheses.
@@ -31,7 +35,7 @@ def demonstrate(
     Args:
       constraint: Index of the hypothesis to obey.
       out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
-      num: How many, of as many tasks drawn from the MDP. [default: 10, or one for each of --tasks]
+      num: How many, of tasks drawn from the MDP. [default: 10, or one for each of --tasks]
       by: boltzmann draws from pi_c, what the model holds a demonstrator to do; optimal-control
         takes the best path, of any actions rather than those of the MDP, that keeps out, and needs
         the extra 'control' (CasADi, IPOPT).
@@ -39,6 +43,8 @@ def demonstrate(
         [default: tabular if the MDP is, else grid]
       max_action: Of optimal-control: largest action in either direction, inf for any.
         [default: the range of the MDP's actions]
+      num_steps: Of optimal-control: steps to the last state. [default: the horizon of the MDP]
+      goal_tolerance: Of optimal-control: how far from its goal one may end.
     """
     from swerve.demonstrations import new_files, read_tasks, write_demonstrations
     from swerve.demonstrators import boltzmann, optimal_control
@@ -49,30 +55,34 @@ def demonstrate(
         raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
     if num is not None and num < 1:
         raise ValueError(f"--num: expected at least 1, got {num}")
-    if by == "boltzmann" and max_action is not None:
-        raise ValueError("--max-action is for --by optimal-control: leave one of them out")
+    sought = optimal_control.Settings(_limits(max_action), num_steps, goal_tolerance=goal_tolerance)
+    if by == "boltzmann" and sought != optimal_control.Settings():
+        raise ValueError(
+            "--max-action, --num-steps and --goal-tolerance are for --by optimal-control: leave "
+            "them out"
+        )
     if by == "optimal-control" and solver is not None:
         raise ValueError("--solver is for --by boltzmann: leave one of them out")
-    if max_action is not None and not max_action > 0.0:
-        raise ValueError(f"--max-action: expected a number > 0, got {max_action}")
     check_writable(out)
     job = open_work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
     if tasks is not None:
         rows = read_tasks(tasks, record.space, record.goal_names)
-        batch = swerve.Task.stack(list(rows.values()))
+        batch, num = swerve.Task.stack(list(rows.values())), len(rows)
         names = [f"demo_{row.removeprefix('demo_')}" for row in rows]
     else:
-        batch = draw_tasks(job.problem, num or 10, avoid=[forbidden], seed=seed)
-        names = [f"demo_{k:03d}" for k in range(num or 10)]
+        num = num or 10
+        num_tasks = num if by == "boltzmann" else SPARE * num  # some of which cannot be done
+        batch = draw_tasks(job.problem, num_tasks, avoid=[forbidden], seed=seed)
+        names = [f"demo_{k:03d}" for k in range(num_tasks)]
     new_files(out, names)  # before the work
-    settings = {"names": names, "seed": seed, "progress": True}
     if by == "boltzmann":
-        made = boltzmann.demonstrate(job.problem, forbidden, batch, solver=solver, **settings)
+        made = boltzmann.demonstrate(
+            job.problem, forbidden, batch, names=names, solver=solver, seed=seed, progress=True
+        )
     else:
-        limits = None if max_action is None else (-max_action, max_action)
-        optima = optimal_control.optimal_control(
-            job.problem, forbidden, batch, limits=limits, **settings
+        optima = optimal_control.first_optima(
+            job.problem, forbidden, batch, num, names, sought, seed, progress=True
         )
         made = [optimum.demonstration for optimum in optima]
         _say_of_optima(optima)
@@ -80,6 +90,14 @@ def demonstrate(
         out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
     )
     say(f"wrote {len(made)} demonstrations that avoid {forbidden.name} to {out}")
+
+
+def _limits(max_action: float | None) -> tuple[float, float] | None:
+    if max_action is None:
+        return None
+    if not max_action > 0.0:
+        raise ValueError(f"--max-action: expected a number > 0, got {max_action}")
+    return (-max_action, max_action)
 
 
 def _say_of_optima(optima: Sequence[Optimum]) -> None:

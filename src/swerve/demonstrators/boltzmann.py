@@ -77,6 +77,7 @@ def demonstrate(
       ValueError: if a start lies inside the constraint, a task cannot be done without entering, or
         the solver or the nominal is of another kind.
     """
+    instance(problem, Problem, "problem", "make one with swerve.Problem")
     instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
     seed = whole_number(seed, "seed", 0)
     batch = checked_tasks(problem, tasks)
@@ -89,23 +90,29 @@ def demonstrate(
     labels = [f"demo_{k:03d}" for k in range(len(batch.start))] if names is None else list(names)
     if len(labels) != len(batch.start):
         raise ValueError(f"names: expected {len(batch.start)}, one a task, got {len(labels)}")
-    sources = _sources(constrained, solver, nominal, seed)
+    sources = _sources(constrained, solver, nominal, seed, progress)
     stream = jax.random.fold_in(jax.random.key(seed), STREAM)
     found: dict[int, Demonstration] = {}
+    solver_name = ""
     with progress_bar("demonstrating", len(labels), progress) as advance:
         for source in sources:
+            solver_name = source.solver.name
             for k, made in _drawn(source, batch, labels, found, stream):
                 found[k] = made
                 advance(1)
             if len(found) == len(labels):
                 break
         else:
-            _refuse(constrained, batch, labels, found)
+            _refuse(constrained, batch, labels, found, solver_name)
     return [found[k] for k in sorted(found)]
 
 
 def _sources(
-    constrained: Problem, solver: str | Solver | None, nominal: Nominal | None, seed: int
+    constrained: Problem,
+    solver: str | Solver | None,
+    nominal: Nominal | None,
+    seed: int,
+    progress: bool,
 ) -> Iterable[Nominal]:
     """Return nominals with the constraint in force, ever better ones."""
     if nominal is not None:
@@ -132,7 +139,7 @@ def _sources(
             f"solver: expected one of {', '.join(SOLVERS)} to draw demonstrations with, got "
             f"{name or solver!r}"
         )
-    return [learn(constrained, chosen, seed=seed)]
+    return [learn(constrained, chosen, seed=seed, progress=progress)]
 
 
 def _drawn(
@@ -192,7 +199,8 @@ def _from_policy(
     log_weight = log_weights(problem.record, candidates)
     if _effective(log_weight, np.arange(NUM_CANDIDATES)) < ENOUGH * NUM_CANDIDATES:
         assert isinstance(policy, ValuedPolicy)
-        particles = smc_rollout(policy, start, goal, key_rollout, NUM_ISLANDS, NUM_PARTICLES)
+        key_particles, key_choice = jax.random.split(key_choice)
+        particles = smc_rollout(policy, start, goal, key_particles, NUM_ISLANDS, NUM_PARTICLES)
         candidates, log_weight = particles.trajectory, np.asarray(particles.log_weight, float)
         island = np.arange(len(log_weight)) // NUM_PARTICLES
         if _effective(log_weight, island * NUM_PARTICLES + np.asarray(particles.root)) < LEAST_ESS:
@@ -224,13 +232,19 @@ def _effective(log_weight: np.ndarray, group: np.ndarray) -> float:
 
 
 def _refuse(
-    problem: Problem, batch: Task, labels: list[str], found: dict[int, Demonstration]
+    problem: Problem, batch: Task, labels: list[str], found: dict[int, Demonstration], solver: str
 ) -> None:
     """Raise ValueError naming the first task that has no demonstration."""
     k = next(k for k in range(len(labels)) if k not in found)
+    avoided = ", ".join(constraint.name for constraint in problem.known)
+    where = f"{labels[k]}: from start {batch.start[k].tolist()} to goal {batch.goal[k].tolist()}"
+    if solver == "tabular":
+        raise ValueError(
+            f"{where} no trajectory of {problem.mdp.num_steps} steps avoids {avoided}: choose "
+            "another task or more steps"
+        )
+    better = "a finer grid" if solver == "grid" else "more num_steps of the solver"
     raise ValueError(
-        f"{labels[k]}: from start {batch.start[k].tolist()} to goal {batch.goal[k].tolist()} "
-        f"hardly any trajectory avoids {', '.join(c.name for c in problem.known)} (effective "
-        f"sample size below {LEAST_ESS:.0f} of {NUM_ISLANDS * NUM_PARTICLES}): choose another "
-        "task, or a finer grid"
+        f"{where} hardly any trajectory avoids {avoided} (effective sample size below "
+        f"{LEAST_ESS:.0f} of {NUM_ISLANDS * NUM_PARTICLES}): choose another task, or {better}"
     )

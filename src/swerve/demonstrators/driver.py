@@ -37,6 +37,7 @@ TIGHT = 0.8  # s to the obstacle: who is not clear of it by then brakes hard
 START = (0.0, 0.0, 0.0, 1.0)  # m, m, rad, m/s: in the lane, along it
 FAST = 1.2  # times the speed past the obstacle: who is faster brakes before steering
 LAST = 1.3  # m to the obstacle, where everybody steers
+MOST_TRIES = 50  # drives that may hit the obstacle before it counts as one that nobody passes
 LEAST_PREVIEW = 0.25  # m: nobody looks closer than this
 
 
@@ -105,7 +106,8 @@ def drives(
       enters the obstacle.
 
     Raises:
-      ValueError: if the obstacle is not a box in x and y, or leaves no way past.
+      ValueError: if the obstacle is not a box in x and y, leaves no way past, or
+        a driver hits it again and again.
     """
     instance(mdp, Car, "mdp", "drivers drive swerve.Car()")
     num, seed = whole_number(num, "num", 1), whole_number(seed, "seed", 0)
@@ -140,10 +142,15 @@ def _safely(
     mdp: Car, step, driver: Driver, obstacle: Box | None, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a drive that does not enter the obstacle."""
-    while True:
+    for _ in range(MOST_TRIES):
         states, actions = _drive(mdp, step, driver, obstacle, generator)
         if obstacle is None or not violates(obstacle, states, mdp.space, True):
             return states, actions
+    assert obstacle is not None
+    raise ValueError(
+        f"obstacle: expected one that drivers from {list(START)} can pass, got {obstacle.name}, "
+        f"which one hit {MOST_TRIES} times: move it further along the track"
+    )
 
 
 def _drive(

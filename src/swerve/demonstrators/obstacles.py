@@ -222,6 +222,8 @@ def _sides(
 ) -> Obstacle:
     """Return {z: a^T z < b for each row (a, b)}, each divided by the length of a times the unit."""
     rows = [(row, limit) for row, limit in rows if math.isfinite(limit)]
+    if not rows:
+        raise ValueError("constraint: expected one that leaves something, it forbids everything")
     columns = tuple(sorted({names.index(name) for row, _ in rows for name in row}))
     normal, offset = np.zeros((len(rows), len(columns))), np.zeros(len(rows))
     for k, (row, limit) in enumerate(rows):

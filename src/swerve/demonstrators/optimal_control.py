@@ -16,7 +16,7 @@ import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +39,8 @@ NUM_WAVES = 3  # sines that a random guess swings by
 SWING = 0.2  # of the extent of a state, their standard deviation
 NEAR = 0.25 * TWO_PI  # rad, beyond the angles of a path, how far images of obstacles count
 SAME = 1e-5  # relative: rewards closer than this are those of one optimum
+EARLY, UNLIKE = "Ends_Early", "Unlike_Dynamics"  # what else may be the matter with an optimum
+DEFECT = 1e-3  # of the extent of a state, by which a step may be off the dynamics
 ROUNDS = 3  # times that turns of an obstacle are added which a solution has come to
 
 
@@ -63,6 +65,15 @@ class Optimum:
     rewards: tuple[float, ...]
     num_guesses: int
     endings: dict[str, int]
+
+
+class Settings(NamedTuple):
+    """What is looked for; see `optimal_control`."""
+
+    limits: tuple[float, float] | None = None
+    num_steps: int | None = None
+    num_guesses: int = 8
+    goal_tolerance: float = 0.05
 
 
 def optimal_control(
@@ -106,30 +117,85 @@ def optimal_control(
         range.
     """
     instance(problem, Problem, "problem", "make one with swerve.Problem")
+    if num_steps is not None:
+        num_steps = whole_number(num_steps, "num_steps", 1)
+    settings = Settings(limits, num_steps, num_guesses, goal_tolerance)
+    batch = checked_tasks(problem, tasks)
+    num = len(batch.start)
+    found = []
+    with progress_bar("demonstrating", num, progress) as advance:
+        for optimum in optima(problem, constraint, batch, names, settings, seed):
+            if isinstance(optimum, NoPathError):
+                raise optimum
+            found.append(optimum)
+            advance(1)
+    return found
+
+
+def optima(
+    problem: Problem,
+    constraint: Constraint,
+    tasks: Task,
+    names: Sequence[str] | None,
+    settings: Settings,
+    seed: int,
+) -> Iterator[Optimum | NoPathError]:
+    """Yield for each task in turn a local optimum, or why there is none; see `optimal_control`."""
+    instance(problem, Problem, "problem", "make one with swerve.Problem")
     instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
+    constraint.check(problem.mdp.space, problem.mdp.action_names)
     planner = _Planner(
         problem,
         constraint,
-        _checked_limits(limits, problem),
-        whole_number(problem.mdp.num_steps if num_steps is None else num_steps, "num_steps", 1),
-        positive_number(goal_tolerance, "goal_tolerance"),
+        _checked_limits(settings.limits, problem),
+        whole_number(settings.num_steps or problem.mdp.num_steps, "num_steps", 1),
+        positive_number(settings.goal_tolerance, "goal_tolerance"),
     )
-    num_guesses, seed = whole_number(num_guesses, "num_guesses", 1), whole_number(seed, "seed", 0)
-    batch = checked_tasks(problem, tasks)
-    num = len(batch.start)
+    num_guesses = whole_number(settings.num_guesses, "num_guesses", 1)
+    seed, num = whole_number(seed, "seed", 0), len(tasks.start)
     labels = [f"demo_{k:03d}" for k in range(num)] if names is None else list(names)
     if len(labels) != num:
         raise ValueError(f"names: expected {num}, one a task, got {len(labels)}")
-    each = [Task(batch.start[k], batch.goal[k]) for k in range(num)]
+    each = [Task(tasks.start[k], tasks.goal[k]) for k in range(num)]
     for task, label in zip(each, labels, strict=True):
         planner.check_start(task, label)
-    found = []
+    for k, (task, label) in enumerate(zip(each, labels, strict=True)):
+        try:
+            yield planner.plan(task, label, num_guesses, np.random.default_rng([seed, k]))
+        except NoPathError as error:
+            yield error
+
+
+def first_optima(
+    problem: Problem,
+    constraint: Constraint,
+    tasks: Task,
+    num: int,
+    names: Sequence[str],
+    settings: Settings,
+    seed: int,
+    progress: bool,
+) -> list[Optimum]:
+    """Return optima of the first so many tasks that can be done; see `optimal_control`.
+
+    Raises:
+      NoPathError: if there are not so many.
+    """
+    found: list[Optimum] = []
+    errors: list[NoPathError] = []
     with progress_bar("demonstrating", num, progress) as advance:
-        for k, (task, label) in enumerate(zip(each, labels, strict=True)):
-            generator = np.random.default_rng([seed, k])
-            found.append(planner.plan(task, label, num_guesses, generator))
+        for optimum in optima(problem, constraint, tasks, names, settings, seed):
+            if isinstance(optimum, NoPathError):
+                errors.append(optimum)
+                continue
+            found.append(optimum)
             advance(1)
-    return found
+            if len(found) == num:
+                return found
+    raise NoPathError(
+        f"only {len(found)} of {len(names)} tasks can be done, {num} were asked for; of another: "
+        f"{errors[0]}"
+    )
 
 
 def _checked_limits(limits: tuple[float, float] | None, problem: Problem) -> np.ndarray:
@@ -198,19 +264,19 @@ class _Planner:
                     found.append(solution)
         tried = ", ".join(f"{count} {how}" for how, count in endings.most_common())
         where = f"{name}: from start {task.start.tolist()} to goal {task.goal.tolist()}"
-        remedy = "choose another task, wider limits of actions, more steps or more guesses"
         if not found:
             avoided = ", ".join(constraint.name for constraint in self._avoided)
             raise NoPathError(
                 f"{where} no path was found that keeps out of {avoided}, from {num_guesses} "
-                f"guesses ({tried}): {remedy}"
+                f"guesses ({tried}): {self._remedy(endings)}"
             )
         best = max(found, key=lambda solution: solution.reward)
         missed = self._missed(task, best.path)
         if missed > self._goal_tolerance:
             raise NoPathError(
                 f"{where} the best path that was found ends {missed:.3g} from the goal, more than "
-                f"goal_tolerance = {self._goal_tolerance:g} ({tried}): {remedy}"
+                f"goal_tolerance = {self._goal_tolerance:g} ({tried}): choose another task, wider "
+                "limits of actions or a larger goal_tolerance"
             )
         times = np.arange(self._num_steps + 1) * self._mdp.dt
         states, actions = best.path
@@ -272,6 +338,14 @@ class _Planner:
         low, high = path.states.min(axis=0) - NEAR, path.states.max(axis=0) + NEAR
         return [image for obstacle in self._obstacles for image in obstacle.images(low, high)]
 
+    def _remedy(self, endings: Counter[str]) -> str:
+        """Return what to try, by how the solver ended."""
+        if EARLY in endings:
+            return f"choose fewer num_steps than {self._num_steps}, after which the episode is over"
+        if UNLIKE in endings:
+            return "write dynamics with arithmetic, jnp.where and loops of a fixed length"
+        return "choose another task, wider limits of actions, other num_steps or more num_guesses"
+
     def _fault(self, task: Task, solution: Solution) -> str:
         """Return what speaks against a solution; nothing if it is an optimum that keeps out."""
         if not solution.is_optimal:
@@ -279,8 +353,15 @@ class _Planner:
         if self._enters(solution.path):
             return "Enters_Constraint"
         if self._ends_early(solution.path, task.goal):
-            return "Ends_Early"
-        return ""
+            return EARLY
+        return UNLIKE if self._is_unlike(solution.path) else ""
+
+    def _is_unlike(self, path: Path) -> bool:
+        """Return whether a step is not what the dynamics of the MDP make of its action."""
+        states, actions = (jnp.asarray(values, jnp.float32) for values in path)
+        after = np.asarray(jax.vmap(self._mdp.dynamics)(states[:-1], actions))
+        missed = np.abs(self._mdp.space.difference(path.states[1:], after))
+        return bool((missed > DEFECT * self._mdp.space.extent).any())
 
     def _enters(self, path: Path) -> bool:
         actions = Actions(tuple(self._mdp.action_names), path.actions)

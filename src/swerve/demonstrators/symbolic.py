@@ -52,7 +52,6 @@ ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "or": casadi.logic_or,
     "pow": operator.pow,
     "rem": casadi.fmod,
-    "round": lambda value: casadi.floor(value + 0.5),
     "rsqrt": lambda value: 1.0 / casadi.sqrt(value),
     "select_n": lambda which, *cases: casadi.if_else(which, cases[1], cases[0]),
     "sign": casadi.sign,
@@ -64,7 +63,8 @@ ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "tan": casadi.tan,
     "tanh": casadi.tanh,
 }
-SAME = ("convert_element_type", "copy", "reduce_precision", "stop_gradient")
+SAME = ("copy", "reduce_precision", "stop_gradient")
+NOT_OF_INTEGERS = ("and", "div", "not", "or")  # which they treat otherwise than truths and reals
 REARRANGING = (
     "broadcast_in_dim",
     "concatenate",
@@ -85,6 +85,7 @@ REDUCING: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_prod": operator.mul,
     "reduce_sum": operator.add,
 }
+PLACES = {"gather": 1, "dynamic_slice": 1}  # from which operand on they say where to look
 INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # what calls name the function that they call
 
 
@@ -151,6 +152,14 @@ def _apply(step: Any, operands: list[Any]) -> Sequence[Any]:
     if not any(_is_symbolic(operand) for operand in operands):
         results = step.primitive.bind(*operands, **options)
         return results if step.primitive.multiple_results else [results]
+    if name in NOT_OF_INTEGERS and _is_integer(step.invars[0]):
+        raise NotImplementedError(f"{name} of integers")
+    if name == "select_n" and len(operands) > 3:
+        raise NotImplementedError("a choice of more than two cases")
+    if name == "convert_element_type":
+        return [_converted(step, operands[0])]
+    if name == "round":
+        return [_elementwise(ROUNDING[options["rounding_method"]], operands)]
     if name in ELEMENTWISE:
         return [_elementwise(ELEMENTWISE[name], operands)]
     if name == "integer_pow":
@@ -190,18 +199,51 @@ def _elementwise(function: Callable[..., Any], operands: Sequence[Any]) -> np.nd
     return _objects(values, arrays[0].shape)
 
 
+def _is_integer(variable: Any) -> bool:
+    return bool(np.issubdtype(variable.aval.dtype, np.integer))
+
+
+def _converted(step: Any, operand: np.ndarray) -> np.ndarray:
+    """Return numbers as another type: integers are cut off, truths are what is not 0."""
+    before, after = step.invars[0].aval.dtype, step.params["new_dtype"]
+    if np.issubdtype(after, np.integer) and np.issubdtype(before, np.floating):
+        return _elementwise(lambda x: casadi.sign(x) * casadi.floor(casadi.fabs(x)), [operand])
+    if after == np.bool_ and before != np.bool_:
+        return _elementwise(lambda x: casadi.ne(x, 0.0), [operand])
+    return operand
+
+
+def _to_even(value: Any) -> Any:
+    """Round to the nearest whole number, halves to the even one."""
+    below = casadi.floor(value)
+    part, is_odd = value - below, casadi.ne(casadi.fmod(below, 2.0), 0.0)
+    return below + casadi.logic_or(part > 0.5, casadi.logic_and(casadi.eq(part, 0.5), is_odd))
+
+
+def _away(value: Any) -> Any:
+    """Round to the nearest whole number, halves away from 0."""
+    return casadi.sign(value) * casadi.floor(casadi.fabs(value) + 0.5)
+
+
+ROUNDING = {
+    jax.lax.RoundingMethod.TO_NEAREST_EVEN: _to_even,
+    jax.lax.RoundingMethod.AWAY_FROM_ZERO: _away,
+}
+
+
 def _rearranged(step: Any, operands: Sequence[Any]) -> list[np.ndarray]:
     """Return elements in another order: JAX moves their positions."""
+    name = step.primitive.name
+    first = PLACES.get(name, len(operands))
     pool: list[Any] = []
     moved = []
-    for operand in operands:
-        if not _is_symbolic(operand) and np.issubdtype(np.asarray(operand).dtype, np.integer):
-            moved.append(operand)  # where to look, not what to take
-            continue
+    for operand in operands[:first]:
         items = _array(operand)
         moved.append(jnp.arange(len(pool), len(pool) + items.size).reshape(items.shape))
         pool += items.ravel().tolist()
-    results = step.primitive.bind(*moved, **step.params)
+    if any(_is_symbolic(operand) for operand in operands[first:]):
+        raise NotImplementedError(f"{name} at a place that depends on its arguments")
+    results = step.primitive.bind(*moved, *operands[first:], **step.params)
     results = results if step.primitive.multiple_results else [results]
     return [_objects([pool[k] for k in np.ravel(place)], place.shape) for place in results]
 

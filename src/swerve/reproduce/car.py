@@ -32,7 +32,7 @@ from swerve.monitor import Monitor
 from swerve.nominal import Nominal, learn, load_nominal, save_nominal
 from swerve.problem import Problem
 from swerve.progress import progress_bar
-from swerve.reproduce.clock import Clock
+from swerve.reproduce.clock import Clock, work_folder
 from swerve.resolving import resolve
 from swerve.sampling import sample
 from swerve.solvers.soft_value import SoftValue
@@ -173,8 +173,7 @@ def reproduce(
       ValueError: if beta cannot be told from the drives.
     """
     scale = QUICK if is_quick else FULL
-    folder = folder / ("quick" if is_quick else "full")
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = work_folder(folder, is_quick, seed)
     clock = Clock(folder / "seconds.json")
     made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
     free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
@@ -270,7 +269,13 @@ class _Keep(NamedTuple):
             with self.clock.timing(f"{name}: sample"):
                 settings = {"seed": self.seed, "progress": self.progress}
                 sample(nominal, TASK, num, method="smc", **settings).save(path)
-        return Evidence.load(path)
+        evidence = Evidence.load(path)
+        if evidence.problem.fingerprint != nominal.problem.record.fingerprint:
+            raise ValueError(
+                f"{path}: expected evidence of {nominal.problem.record.summary}, got "
+                f"that of {evidence.problem.summary}: remove it"
+            )
+        return evidence
 
 
 def _fitted(

@@ -32,6 +32,7 @@ from swerve.reproduce.car import (
 )
 from swerve.reproduce.files import SIZE, SMALL, column, markdown
 from swerve.reproduce.rank_figures import time_table
+from swerve.samples import NUM_KEPT
 from swerve.shading import COLOURS
 from swerve.systems.car import GOAL_LINE, TRACK
 
@@ -97,14 +98,10 @@ def drive_rows(result: Result) -> list[list[str]]:
              "paper_beta_tied"]]  # fmt: skip
     every = zip(result.drives, result.singles, result.early, result.paper, strict=True)
     for drive, single, early, paper in every:
-        cells = (
-            single.first,
-            verdict(single.first, result.scale.num_rows),
-            single.tied,
-            f"{early.exact:.4g}",
-        )
-        more = (f"{early.near:.4g}", paper.first, paper.tied)
-        rows.append([drive.name, *(str(cell) for cell in (*cells, *more))])
+        found = verdict(single.first, result.scale.num_rows)
+        known = (f"{early.exact:.4g}", f"{early.near:.4g}")
+        cells = (single.first, found, single.tied, single.bounds, *known, paper.first, paper.tied)
+        rows.append([drive.name, *(str(cell) for cell in cells)])
     return rows
 
 
@@ -215,8 +212,8 @@ def _fact_table(result: Result) -> str:
     rows = [
         ["beta of drives with nothing in the way", f"{fit.beta:.3g} ({low:.3g} to {high:.3g})"],
         ["drives with nothing in the way", str(len(result.free))],
-        ["nominal trajectories that leave the track", f"{off:.0%}"],
-        ["nominal trajectories that never arrive", f"{late:.0%}"],
+        [f"nominal trajectories that leave the track, of {NUM_KEPT}", f"{off:.0%}"],
+        [f"nominal trajectories that never arrive, of {NUM_KEPT}", f"{late:.0%}"],
         ["effective sample size", _share(result.evidence.effective_sample_size[0], result)],
         [f"the same at beta {PAPER_BETA:g}", _share(paper.effective_sample_size[0], result)],
         ["first after seven drives", first],

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from swerve.reproduce.clock import Clock
+from swerve.reproduce.clock import Clock, work_folder
 from swerve.reproduce.made import Making, kept_optima
 from swerve.reproduce.ways import (
     DISCRETE,
@@ -97,7 +97,7 @@ def reproduce(
       OSError: if a file cannot be written.
     """
     scale = QUICK if is_quick else FULL
-    folder = folder / ("quick" if is_quick else "full")
+    folder = work_folder(folder, is_quick, seed)
     clock = Clock(folder / "seconds.json")
     how = Making(None, ANYWHERE, seed, progress, clock)
     problem, num = double_pendulum(between_states=False), scale.num_demonstrations
@@ -106,6 +106,5 @@ def reproduce(
     for way in scale.ways:
         asked = way.settings(scale.num_trajectories, seed)
         work = Work(MODEL, folder / "model", asked, progress=progress)
-        label = way.solver if way.name == DISCRETE else way.name
-        answers += infer_from(work, way, label, [source], clock, seed)
+        answers += infer_from(work, way, way.label, [source], clock, seed)
     return Result(scale, source, best_tables(answers), clock.seconds)

@@ -41,6 +41,7 @@ def write(
     """
     written = []
     for part, figure, rows in parts:
+        assert len({len(row) for row in rows}) == 1, part  # columns under their own names
         path = folder / part
         store.write_text(path.with_suffix(".csv"), csv_text(rows))
         store.write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))

@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 from swerve.constraints import Constraint
 from swerve.demonstrations import Demonstration, read_demonstrations, write_demonstrations
-from swerve.demonstrators.optimal_control import NoPathError, optimal_control
+from swerve.demonstrators.optimal_control import Settings, first_optima
 from swerve.problem import Problem
-from swerve.progress import progress_bar
 from swerve.reproduce.clock import Clock
-from swerve.space import Task
 from swerve.tasks import draw_tasks
 
 
@@ -50,6 +48,7 @@ def kept_optima(
 
     Raises:
       NoPathError: if more than half of the tasks cannot be done.
+      ValueError: if the folder holds another number of demonstrations.
     """
     if not folder.exists():
         with how.clock.timing(f"{folder.name}: demonstrations"):
@@ -59,7 +58,10 @@ def kept_optima(
         names = problem.mdp.action_names
         write_demonstrations(partial, made, problem.mdp.space, action_names=names)
         partial.replace(folder)
-    return read_folder(folder, problem)
+    found = read_folder(folder, problem)
+    if len(found) != num:
+        raise ValueError(f"{folder}: expected {num} demonstrations, found {len(found)}: remove it")
+    return found
 
 
 def _optima(
@@ -67,28 +69,10 @@ def _optima(
 ) -> list[Demonstration]:
     """Return as many demonstrations as asked for, of the first tasks that can be done."""
     tasks = draw_tasks(problem, 2 * num, avoid=[constraint], seed=1_000 * how.seed + truth)
-    made: list[Demonstration] = []
-    with progress_bar("demonstrating", num, how.progress) as advance:
-        for k, task in enumerate(zip(*tasks, strict=True)):
-            try:
-                (optimum,) = optimal_control(
-                    problem,
-                    constraint,
-                    Task(*task),
-                    names=[f"demo_{k:03d}"],
-                    limits=how.limits,
-                    goal_tolerance=how.goal_tolerance,
-                    seed=how.seed,
-                )
-            except NoPathError:
-                if k - len(made) >= num:
-                    raise
-                continue
-            made.append(optimum.demonstration)
-            advance(1)
-            if len(made) == num:
-                break
-    return made
+    names = [f"demo_{k:03d}" for k in range(2 * num)]
+    settings = Settings(limits=how.limits, goal_tolerance=how.goal_tolerance)
+    found = first_optima(problem, constraint, tasks, num, names, settings, how.seed, how.progress)
+    return [optimum.demonstration for optimum in found]
 
 
 def read_folder(folder: Path, problem: Problem, most: int | None = None) -> list[Demonstration]:

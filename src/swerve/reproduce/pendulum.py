@@ -17,7 +17,6 @@ Shapes: D demonstrations, H hypotheses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +24,7 @@ import numpy as np
 
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
-from swerve.reproduce.clock import Clock
+from swerve.reproduce.clock import Clock, work_folder
 from swerve.reproduce.made import Making, kept_optima, read_folder
 from swerve.reproduce.ranks import NOISE, Curve, Judged, curve
 from swerve.reproduce.ways import (
@@ -45,6 +44,7 @@ from swerve.work import Work
 
 CONSTRAINTS = {"C1": 55, "C2": 85}
 REAL = "real"  # name of the demonstrations of a folder
+NUM_CELLS = 100
 REAL_TRUTH = CONSTRAINTS["C1"]
 GOAL_TOLERANCE = 0.05  # rad and rad/s together
 LEAST_SURVIVAL = 1e-4  # one trajectory of 10,000
@@ -151,27 +151,30 @@ def reproduce(
       ValueError: if a file cannot be understood, or the demonstrations enter cell 55.
     """
     scale = QUICK if is_quick else FULL
-    folder = folder / ("quick" if is_quick else "full")
+    folder = work_folder(folder, is_quick, seed)
     clock = Clock(folder / "seconds.json")
     problem, num = pendulum(between_states=False), scale.num_demonstrations
     how = Making((-np.inf, np.inf), GOAL_TOLERANCE, seed, progress, clock)
+    theirs = None if data is None else _read(data, num if is_quick else None)
+    exact = {} if data is None or theirs is None else _exact_violation(data, scale, theirs)
     sources = [
         Source(name, kept_optima(folder / name, problem, truth, num, how), truth)
         for name, truth in CONSTRAINTS.items()
     ]
-    if data is not None:
-        sources.append(_read(data, num if is_quick else None))
+    sources += [] if theirs is None else [theirs]
     answers = []
     for max_torque in scale.max_torques:
         for way in scale.ways:
             place = folder / f"torque_{max_torque:g}"
             asked = way.settings(scale.num_trajectories, seed)
             work = Work(model(max_torque), place, asked, progress=progress)
-            label = f"torque {max_torque:g}: {way.name}"
+            label = f"torque {max_torque:g}: {way.label}"
             answers += infer_from(work, way, label, sources, clock, seed)
     answers = best_tables(answers)
-    exact = [] if data is None else _exact(data, scale.max_torques, answers, seed)
-    return Result(scale, sources, answers, exact, clock.seconds)
+    compared = [
+        _exact(max_torque, violation, answers, seed) for max_torque, violation in exact.items()
+    ]
+    return Result(scale, sources, answers, compared, clock.seconds)
 
 
 def model(max_torque: float) -> str:
@@ -192,26 +195,47 @@ def _read(folder: Path, most: int | None) -> Source:
     return Source(REAL, made, REAL_TRUTH)
 
 
-def _exact(
-    data: Path, max_torques: Sequence[float], answers: list[Answer], seed: int
-) -> list[Exact]:
-    """Return the exact probabilities that a folder holds, with the curve by them."""
-    found = []
-    for max_torque in max_torques:
-        path = data / f"exact_violation_torque{max_torque:g}.csv"
-        if path.exists():
-            (answer,) = answers_of(answers, REAL, model(max_torque), GRID)
-            violation = read_violation(path, list(answer.result.demonstrations))
-            survival = np.maximum(1.0 - np.where(violation < NOISE, 0.0, violation), LEAST_SURVIVAL)
-            said = Judged(-np.log(survival), answer.result.entered)
-            drawn = curve(said, REAL_TRUTH, answer.curve.sizes, seed=seed)
-            found.append(Exact(max_torque, violation, said.score.sum(axis=0), drawn))
-    return found
+def _exact_violation(data: Path, scale: Scale, theirs: Source) -> dict[float, np.ndarray]:
+    """Return, for each torque, the exact probabilities [D, H] that a folder holds."""
+    paths = {
+        max_torque: data / f"exact_violation_torque{max_torque:g}.csv"
+        for max_torque in scale.max_torques
+    }
+    return {
+        max_torque: read_violation(path, theirs.demonstrations)
+        for max_torque, path in paths.items()
+        if path.exists()
+    }
+
+
+def _exact(max_torque: float, violation: np.ndarray, answers: list[Answer], seed: int) -> Exact:
+    """Return the curve by exact probabilities [D, H]; what is entered, any answer knows."""
+    answer = answers_of(answers, REAL, model(max_torque))[0]
+    survival = np.maximum(1.0 - np.where(violation < NOISE, 0.0, violation), LEAST_SURVIVAL)
+    said = Judged(-np.log(survival), answer.result.entered)
+    drawn = curve(said, REAL_TRUTH, answer.curve.sizes, seed=seed)
+    return Exact(max_torque, violation, said.score.sum(axis=0), drawn)
 
 
 def read_violation(path: Path, demonstrations: list[Demonstration]) -> np.ndarray:
-    """Return exact violation probabilities [D, H] in the order of the demonstrations."""
+    """Return exact violation probabilities [D, H] in the order of the demonstrations.
+
+    Raises:
+      ValueError: if one is missing, or has no number from 0 to 1 for each of the 100 cells.
+    """
     with path.open() as file:
         rows = {row[0]: row[1:] for row in (line.strip().split(",") for line in file)}
-    names = [demonstration.name.removeprefix("demo_") for demonstration in demonstrations]
-    return np.array([rows[name] for name in names], float)
+    found = []
+    for one in demonstrations:
+        name = one.name.removeprefix("demo_")
+        try:
+            values = np.array(rows.get(name, []), float)
+        except ValueError:
+            values = np.array([])
+        if values.shape != (NUM_CELLS,) or not ((values >= 0.0) & (values <= 1.0)).all():
+            raise ValueError(
+                f"{path}: expected a row {name} with a probability for each of the {NUM_CELLS} "
+                f"cells, got {'none' if name not in rows else ','.join(rows[name])[:60]}"
+            )
+        found.append(values)
+    return np.array(found)

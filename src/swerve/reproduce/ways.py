@@ -38,6 +38,11 @@ class Way(NamedTuple):
     method: str | None
     score: str = "likelihood"
 
+    @property
+    def label(self) -> str:
+        """What its times are called: of tables there are several."""
+        return self.solver if self.name == DISCRETE else self.name
+
     def settings(self, num_trajectories: int, seed: int) -> Settings:
         """Return how to learn and sample; of exact answers there are no trajectories."""
         num = None if self.method is None else num_trajectories
