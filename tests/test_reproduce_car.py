@@ -13,7 +13,7 @@ from command import Run
 from swerve import Car, infer
 from swerve.demonstrators.driver import drives
 from swerve.exact import Drawn, ExactAnswer, exact_evidence
-from swerve.reproduce import car
+from swerve.reproduce import car, car_figures
 from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, regions, truth, verdict
 from swerve.solvers.soft_value import SoftValue
 from swerve.temperature import BetaFit
@@ -24,7 +24,7 @@ SMALL = car.Scale(
     num_drives=8,
     num_trajectories=200,
     solver=SoftValue(num_steps=60_000, num_lanes=64),
-    paper_solver=SoftValue(num_steps=30_000, num_lanes=64, learning_rate=1e-5),
+    num_paper=20,
     num_rollouts=100,
     num_updates=50,
 )
@@ -52,11 +52,18 @@ def test_verdicts() -> None:
     assert verdict(13, 14) == OTHER
 
 
+def test_a_place_that_is_shared_is_nobodys() -> None:
+    posterior = np.full(29, 1.0 / 29.0)
+    singles = [car.Single(truth(14), tied, 0, posterior) for tied in (1, 1, 3)]
+    singles.append(car.Single(truth(14) + 1, 1, 0, posterior))
+    assert list(car_figures.counts(singles, 14).values()) == [2, 1, 0, 1]
+
+
 def test_when_a_monitor_knows_for_good() -> None:
     y = np.array([0.0, 1.0, 2.0, 3.0])
-    assert car._from(y, [True, True, True, True]) == 0.0
-    assert car._from(y, [True, False, True, True]) == 2.0
-    assert math.isnan(car._from(y, [True, True, True, False]))
+    assert car._from(y, np.array([True, True, True, True])) == 0.0
+    assert car._from(y, np.array([True, False, True, True])) == 2.0
+    assert math.isnan(car._from(y, np.array([True, True, True, False])))
 
 
 def test_what_one_drive_says_and_seven_say() -> None:
@@ -84,7 +91,6 @@ def test_what_one_drive_says_and_seven_say() -> None:
     assert car._seven_share(evidence, made, truth(14), 0) > 0.9
 
 
-@pytest.mark.filterwarnings("ignore:training:RuntimeWarning")
 def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a network that has hardly learned, beta as it may be and nothing resolved."""
     fit = BetaFit(0.45, (0.4, 0.5), 0.01, (0.3, 0.6), 0.95)

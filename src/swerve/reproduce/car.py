@@ -5,7 +5,7 @@ track. Beta is that of drives with nothing in the way, by maximum likelihood. No
 every region of the right lane almost surely: what comes first among those that somebody left out
 rests on what driving around each would cost, which is worked out with the region in force
 (`resolving`). A drive may ignore the constraint with probability TOLERANCE, since no region is the
-obstacle exactly. The same by samples of the paper's beta comes beside it.
+obstacle exactly. What samples say that are brought to the paper's beta comes beside it.
 
 Shapes: D drives, H hypotheses, L states of a drive.
 """
@@ -45,10 +45,11 @@ NUM_FREE = 20  # drives with nothing in the way
 SEVEN = 7  # drives in the paper
 NUM_SETS = 200  # random sets of seven
 TOLERANCE = 0.05
+SURE = 0.5  # posterior of what a monitor believes in
 FIRST_BETA = 0.45  # at which that of the drives is looked for, from nearby
 PAPER_BETA = 200.0
 TASK = Task(np.array(START), np.zeros(0))
-EXACT, NEXT, OTHER = "exact", "next to it", "other"
+EXACT, NEXT, OTHER, TIED = "exact", "next to it", "other", "tied with others"
 
 
 class Scale(NamedTuple):
@@ -60,7 +61,7 @@ class Scale(NamedTuple):
       num_drives: around the obstacle.
       num_trajectories: sampled.
       solver: of the nominal distribution.
-      paper_solver: of that at the paper's beta.
+      num_paper: trajectories brought to the paper's beta.
       num_rollouts: that foresight is learned from.
       num_updates: of it.
     """
@@ -70,7 +71,7 @@ class Scale(NamedTuple):
     num_drives: int
     num_trajectories: int
     solver: SoftValue
-    paper_solver: SoftValue
+    num_paper: int
     num_rollouts: int
     num_updates: int
 
@@ -81,7 +82,7 @@ FULL = Scale(
     num_drives=70,
     num_trajectories=10_000,
     solver=SoftValue(num_steps=20_000_000),
-    paper_solver=SoftValue(num_steps=10_000_000, learning_rate=3e-4),
+    num_paper=200,
     num_rollouts=6_000,
     num_updates=10_000,
 )
@@ -91,7 +92,7 @@ QUICK = Scale(
     num_drives=14,
     num_trajectories=2_000,
     solver=SoftValue(num_steps=1_000_000),
-    paper_solver=SoftValue(num_steps=300_000, learning_rate=3e-4),
+    num_paper=40,
     num_rollouts=1_000,
     num_updates=2_000,
 )
@@ -114,11 +115,11 @@ class Single(NamedTuple):
 
 
 class Early(NamedTuple):
-    """When a monitor knows, and does not change its mind again; NaN where it never does.
+    """From where on a monitor believes in it for good; NaN where it never does.
 
     Attributes:
-      exact: y at which the true region comes first [m].
-      near: y at which it or one next to it does [m].
+      exact: y from which the true region has a posterior above SURE [m].
+      near: y from which it and those next to it have one together [m].
     """
 
     exact: float
@@ -186,8 +187,7 @@ def reproduce(
         for drive in made:
             early.append(_early(evidence, foresight, drive, scale.num_rows))
             advance(1)
-    paper = keep.nominal("paper", model(scale, PAPER_BETA), scale.paper_solver)
-    paper_evidence = keep.evidence("paper", paper, scale.num_trajectories)
+    paper_evidence = keep.evidence("paper", nominal, scale.num_paper, PAPER_BETA)
     return Result(
         scale,
         made,
@@ -262,18 +262,24 @@ class _Keep(NamedTuple):
             checkpoint.unlink(missing_ok=True)
         return load_nominal(path, problem)
 
-    def evidence(self, name: str, nominal: Nominal, num: int) -> Evidence:
-        """Return evidence of the one task."""
+    def evidence(
+        self, name: str, nominal: Nominal, num: int, beta: float | None = None
+    ) -> Evidence:
+        """Return evidence of the one task, by way of others of another beta if one is given."""
         path = self.folder / f"{name}.evidence"
+        wanted = (
+            nominal.problem if beta is None else dataclasses.replace(nominal.problem, beta=beta)
+        )
         if not path.exists():
             with self.clock.timing(f"{name}: sample"):
-                settings = {"seed": self.seed, "progress": self.progress}
-                sample(nominal, TASK, num, method="smc", **settings).save(path)
+                sample(nominal, TASK, num, beta=beta, seed=self.seed, progress=self.progress).save(
+                    path
+                )
         evidence = Evidence.load(path)
-        if evidence.problem.fingerprint != nominal.problem.record.fingerprint:
+        if evidence.problem.fingerprint != wanted.record.fingerprint:
             raise ValueError(
-                f"{path}: expected evidence of {nominal.problem.record.summary}, got "
-                f"that of {evidence.problem.summary}: remove it"
+                f"{path}: expected evidence of {wanted.record.summary}, got that of "
+                f"{evidence.problem.summary}: remove it"
             )
         return evidence
 
@@ -338,20 +344,22 @@ def _single(evidence: Evidence, drive: Demonstration) -> Single:
 
 
 def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration, num_rows: int) -> Early:
-    """Return from where on a monitor has the truth first, and it or a neighbour."""
+    """Return from where on a monitor believes in the truth, and in it or a neighbour."""
     course = follow(Monitor(evidence, TASK, foresight, tolerance=TOLERANCE), drive)
-    first = course.log_likelihood.argmax(axis=1)
-    found = [verdict(int(index), num_rows) for index in first]
+    found = [verdict(index, num_rows) for index in range(course.hypotheses.shape[1])]
     y = np.append(drive.states[:, 1], drive.states[-1, 1])
-    exact, near = ([one in right for one in found] for right in ((EXACT,), (EXACT, NEXT)))
+    exact, near = (
+        course.hypotheses[:, [one in right for one in found]].sum(axis=1) > SURE
+        for right in ((EXACT,), (EXACT, NEXT))
+    )
     return Early(_from(y, exact), _from(y, near))
 
 
-def _from(y: np.ndarray, holds: list[bool]) -> float:
+def _from(y: np.ndarray, holds: np.ndarray) -> float:
     """Return the y from which on something holds to the end, NaN if it does not then."""
     if not holds[-1]:
         return math.nan
-    wrong = np.flatnonzero(~np.array(holds))
+    wrong = np.flatnonzero(~holds)
     return float(y[wrong[-1] + 1]) if len(wrong) else float(y[0])
 
 

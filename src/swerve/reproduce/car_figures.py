@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from swerve.evidence import Evidence
 from swerve.figures import FAINT, INK, open_sides
 from swerve.reproduce import files
 from swerve.reproduce.car import (
@@ -24,6 +25,7 @@ from swerve.reproduce.car import (
     OTHER,
     PAPER_BETA,
     SEVEN,
+    TIED,
     Result,
     Single,
     regions,
@@ -36,8 +38,8 @@ from swerve.samples import NUM_KEPT
 from swerve.shading import COLOURS
 from swerve.systems.car import GOAL_LINE, TRACK
 
-VERDICTS = (EXACT, NEXT, OTHER)
-PAPER = {EXACT: 3, NEXT: 4, OTHER: 0}  # of seven drives
+VERDICTS = (EXACT, NEXT, OTHER, TIED)
+PAPER = {EXACT: 3, NEXT: 4, OTHER: 0, TIED: 0}  # of seven drives
 MOST_DRAWN = 40  # drives in the picture
 
 
@@ -66,8 +68,11 @@ def write(result: Result, folder: Path) -> list[Path]:
 
 
 def counts(singles: Sequence[Single], num_rows: int) -> dict[str, int]:
-    """Return for how many drives the first region is the true one, next to it, or another."""
-    found = Counter(verdict(one.first, num_rows) for one in singles)
+    """Return for how many drives the first region is the true one, next to it, or another.
+
+    Where several share the first place it is none of these, but tied.
+    """
+    found = Counter(TIED if one.tied > 1 else verdict(one.first, num_rows) for one in singles)
     return {name: found[name] for name in VERDICTS}
 
 
@@ -168,8 +173,8 @@ def draw_early(result: Result) -> Figure:
     axes.axvspan(front, back, color=FAINT, alpha=0.25, lw=0, label="beside the obstacle")
     y = np.linspace(0.0, GOAL_LINE, 400)
     for name, style, field in (
-        ("the region or one next to it comes first", "-", "near"),
-        ("the true region comes first", "--", "exact"),
+        ("believes in the region or one next to it", "-", "near"),
+        ("believes in the true region", "--", "exact"),
     ):
         known = np.array([getattr(one, field) for one in result.early])
         share = (known <= y[:, None]).mean(axis=1)
@@ -188,7 +193,7 @@ def _count_table(result: Result) -> str:
     rows = [["the paper, beta 200", "7", *(str(PAPER[name]) for name in VERDICTS), "", ""]]
     for name, singles in (
         (f"Swerve, beta {beta:.3g}", result.singles),
-        (f"samples of beta {PAPER_BETA:g}", result.paper),
+        (f"samples brought to beta {PAPER_BETA:g}", result.paper),
     ):
         found, tied = counts(singles, result.scale.num_rows), np.mean([one.tied for one in singles])
         shares = [f"{count} ({count / num:.0%})" for count in found.values()]
@@ -214,8 +219,8 @@ def _fact_table(result: Result) -> str:
         ["drives with nothing in the way", str(len(result.free))],
         [f"nominal trajectories that leave the track, of {NUM_KEPT}", f"{off:.0%}"],
         [f"nominal trajectories that never arrive, of {NUM_KEPT}", f"{late:.0%}"],
-        ["effective sample size", _share(result.evidence.effective_sample_size[0], result)],
-        [f"the same at beta {PAPER_BETA:g}", _share(paper.effective_sample_size[0], result)],
+        ["effective sample size", _share(result.evidence)],
+        [f"the same of samples brought to beta {PAPER_BETA:g}", _share(paper)],
         ["first after seven drives", first],
         [
             "posterior of the true region after seven",
@@ -223,16 +228,15 @@ def _fact_table(result: Result) -> str:
         ],
         ["posterior of no constraint after seven", f"{seven.none:.2g}"],
         ["random sets of seven with the truth first", f"{result.seven_share:.0%}"],
-        ["monitor: it or a neighbour, median y [m]", _median(near)],
-        ["monitor: the truth, median y [m]", _median(exact)],
-        ["monitor: it or a neighbour before the obstacle", f"{np.mean(near < front):.0%}"],
-        ["monitor: the truth before the obstacle", f"{np.mean(exact < front):.0%}"],
+        ["monitor believes in it or a neighbour from y [m] on, median", _median(near)],
+        ["drives in which it does before the obstacle", f"{np.mean(near < front):.0%}"],
+        ["monitor believes in the true region from y [m] on, median", _median(exact)],
     ]
     return markdown(["what", "figure"], rows)
 
 
-def _share(effective: float, result: Result) -> str:
-    return f"{effective:.0f} of {result.scale.num_trajectories}"
+def _share(evidence: Evidence) -> str:
+    return f"{evidence.effective_sample_size[0]:.0f} of {evidence.num_trajectories}"
 
 
 def _median(values: np.ndarray) -> str:
@@ -271,6 +275,6 @@ def table(result: Result) -> str:
     return (
         f"beta of drives with nothing in the way: {result.fit}\n"
         f"single drives, first region: {found[EXACT]} of {num} exact, {found[NEXT]} next to it, "
-        f"{found[OTHER]} other (the paper: 3, 4, 0 of 7)\n"
+        f"{found[OTHER]} other, {found[TIED]} tied (the paper: 3, 4, 0, 0 of 7)\n"
         f"after {SEVEN} drives the true region has {true:.3f}, no constraint {belief.none:.2g}"
     )
