@@ -24,12 +24,12 @@ def reproduce(
     """Regenerate a published result: figures as PNG and SVG, their numbers as CSV, tables.
 
     pendulum: the rank of the true constraint against the number of demonstrations, by Swerve and
-    by those it is compared with (Stocking et al., 2022, figures 2 and 3); an hour or two, then
-    the rest of two minutes. --data names a folder of demo_*.csv and tasks.csv of others who
-    avoided cell 55. Needs the extra 'control'.
+    by those it is compared with (Stocking et al., 2022, figures 2 and 3); an hour or two. --data
+    names a folder of demo_*.csv and tasks.csv of others who avoided cell 55. Needs the extra
+    'control'.
 
     car: which region of the track human-like drivers avoid, by single drives and while they last
-    (figure 4); some 40 minutes.
+    (figure 4); half an hour.
 
     double-pendulum: the same as for the pendulum in four dimensions, by networks and by tables of
     cells (Stocking et al., 2021); some 40 minutes. Needs the extra 'control'.
