@@ -161,7 +161,11 @@ def test_without_an_obstacle_nothing_is_sure(tmp_path: Path) -> None:
 
 def test_what_is_drawn_is_what_was_measured(planted: Result, tmp_path: Path) -> None:
     written = human_walk_figures.write(planted, tmp_path)
-    assert len(written) == 12
+    assert len(written) == 13
+    shown = (tmp_path / "human_walk_picks.md").read_text()
+    first = human_walk.picks_json(planted.answer)[0]
+    assert f"| {planted.beta.value:.2f} | 1 | {first['centre'][0]:.2f} |" in shown
+    assert f"| {first['gain_nats']:.1f} ± {first['standard_error']:.1f} |" in shown
     for path in written:
         if path.suffix == ".png":
             assert imread(path).shape[1] == 3.5 * 300

@@ -255,10 +255,17 @@ def test_files_hold_what_the_figures_show(golden: Path, tmp_path: Path) -> None:
     result = gridworld.reproduce(golden)
     written = gridworld_figures.write(result, tmp_path / "out")
     assert {path.name for path in written} == {
-        f"gridworld_{figure}.{suffix}"
-        for figure in ("curves", "violations")
-        for suffix in ("csv", "png", "svg")
+        "gridworld_means.md",
+        *(
+            f"gridworld_{figure}.{suffix}"
+            for figure in ("curves", "violations")
+            for suffix in ("csv", "png", "svg")
+        ),
     }
+    shown = (tmp_path / "out" / "gridworld_means.md").read_text()
+    picks, kl = result.curves.num_picks[0, :, 0].mean(), result.curves.kl[0, :, 0].mean()
+    assert f"| {result.curves.sizes[0]} | " in shown
+    assert f" / {picks:.1f}, {kl:.3f} |" in shown
     assert sorted(written) == sorted((tmp_path / "out").iterdir())
     for path in written:
         if path.suffix == ".png":
