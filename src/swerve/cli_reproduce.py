@@ -51,7 +51,7 @@ def reproduce(
       data: Data of others, as told above; of gridworld golden output, a golden.json, to take
         demonstrations from and to compare with.
         [default: what this project makes itself]
-      quick: A small version, in less than two minutes.
+      quick: A small version, in some two minutes.
       seed: Of everything random.
       as_json: Print one JSON object; human-walk alone.
     """

@@ -82,12 +82,12 @@ FULL = Scale(
 )
 QUICK = Scale(
     (10.0,),
-    8,
-    2_000,
+    6,
+    1_500,
     (
-        Way(SOFT_VALUE, "soft-value?num_steps=2000000", "smc"),
+        Way(SOFT_VALUE, "soft-value?num_steps=1500000", "smc"),
         Way(GRID, "grid?num_points=121", "smc"),
-        Way(PPO, "ppo?num_steps=2000000", "plain", "average"),
+        Way(PPO, "ppo?num_steps=1000000", "plain", "average"),
         Way(DISCRETE, "discrete?num_cells=60&hold=6", None),
     ),
 )
