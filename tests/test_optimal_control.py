@@ -218,7 +218,8 @@ RING = r"demo_000: from start .* no path was found .* 3 guesses|ends [\d.]+ from
 class TestRefusals:
     def test_a_start_inside_is_named_before_the_work(self) -> None:
         tasks = [ACROSS, Task(np.zeros(4), ACROSS.goal)]
-        with pytest.raises(ValueError, match=r"demo_001: starts at \[0.0, .*inside ball .*start"):
+        message = r"demo_001: task 1 starts at \[0.0, .*inside ball .*start"
+        with pytest.raises(ValueError, match=message):
             optimal_control(PUCK, Ball(0.6, x=0.0, y=0.0), tasks)
 
     def test_a_goal_that_is_walled_in(self) -> None:
@@ -284,12 +285,13 @@ class TestRefusals:
         trap = Box(x=(-1.4, 9.0))
         doomed = Task(np.array([-1.5, 0.0, 2.0, 0.0]), ACROSS.goal)
         back = Task(np.array([-1.5, 0.0, 0.0, 0.0]), np.array([-2.0, 0.0, 0.0, 0.0]))
-        tasks, names = Task.stack([doomed, back, doomed]), ["a", "b", "c"]
+        tasks = Task.stack([doomed, back, doomed])
         settings = module.Settings(num_guesses=2)
-        (found,) = module.first_optima(PUCK, trap, tasks, 1, names, settings, 0, False)
-        assert found.demonstration.name == "b"
+        (found,) = module.first_optima(PUCK, trap, tasks, 1, settings)
+        assert found.demonstration.task.goal.tolist() == back.goal.tolist()
+        assert found.demonstration.name == "demo_000"
         with pytest.raises(module.NoPathError, match="only 1 of 3 tasks can be done, 2 were"):
-            module.first_optima(PUCK, trap, tasks, 2, names, settings, 0, False)
+            module.first_optima(PUCK, trap, tasks, 2, settings)
 
     @pytest.mark.parametrize(
         ("settings", "message"),

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import swerve
 from swerve.cli_options import Problem, Tasks, open_work, say
 
-SPARE = 2  # times as many tasks as are asked for, since optimal control cannot do them all
+NUM = 10  # demonstrations, unless told otherwise
 
 if TYPE_CHECKING:
+    from swerve.constraints import Constraint
+    from swerve.demonstrations import Demonstration
     from swerve.demonstrators.optimal_control import Optimum
+    from swerve.space import Task
 
 
 def demonstrate(
@@ -27,7 +30,7 @@ def demonstrate(
     solver: str | None = None,
     max_action: float | None = None,
     num_steps: int | None = None,
-    goal_tolerance: float = 0.05,
+    goal_tolerance: float | None = None,
     seed: int = 0,
 ) -> None:
     """Make demonstrations that obey one of the hypotheses.
@@ -44,19 +47,18 @@ def demonstrate(
       max_action: Of optimal-control: largest action in either direction, inf for any.
         [default: the range of the MDP's actions]
       num_steps: Of optimal-control: steps to the last state. [default: the horizon of the MDP]
-      goal_tolerance: Of optimal-control: how far from its goal one may end.
+      goal_tolerance: Of optimal-control: how far from its goal one may end. [default: 0.05]
     """
     from swerve.demonstrations import new_files, read_tasks, write_demonstrations
-    from swerve.demonstrators import boltzmann, optimal_control
     from swerve.store import check_writable
-    from swerve.tasks import draw_tasks
 
     if tasks is not None and num is not None:
         raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
     if num is not None and num < 1:
         raise ValueError(f"--num: expected at least 1, got {num}")
-    sought = optimal_control.Settings(_limits(max_action), num_steps, goal_tolerance=goal_tolerance)
-    if by == "boltzmann" and sought != optimal_control.Settings():
+    sought = {"limits": _limits(max_action), "num_steps": num_steps}
+    sought |= {} if goal_tolerance is None else {"goal_tolerance": goal_tolerance}
+    if by == "boltzmann" and any(value is not None for value in sought.values()):
         raise ValueError(
             "--max-action, --num-steps and --goal-tolerance are for --by optimal-control: leave "
             "them out"
@@ -66,30 +68,60 @@ def demonstrate(
     check_writable(out)
     job = open_work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
-    if tasks is not None:
-        rows = read_tasks(tasks, record.space, record.goal_names)
-        batch, num = swerve.Task.stack(list(rows.values())), len(rows)
-        names = [f"demo_{row.removeprefix('demo_')}" for row in rows]
-    else:
-        num = num or 10
-        num_tasks = num if by == "boltzmann" else SPARE * num  # some of which cannot be done
-        batch = draw_tasks(job.problem, num_tasks, avoid=[forbidden], seed=seed)
-        names = [f"demo_{k:03d}" for k in range(num_tasks)]
+    given = None if tasks is None else read_tasks(tasks, record.space, record.goal_names)
+    names = [f"demo_{k:03d}" for k in range(num or NUM)]
+    if given is not None:
+        names = [f"demo_{row.removeprefix('demo_')}" for row in given]
     new_files(out, names)  # before the work
+    batch = None if given is None else swerve.Task.stack(list(given.values()))
     if by == "boltzmann":
-        made = boltzmann.demonstrate(
-            job.problem, forbidden, batch, names=names, solver=solver, seed=seed, progress=True
-        )
+        made = _drawn(job.problem, forbidden, batch, names, solver, seed)
     else:
-        optima = optimal_control.first_optima(
-            job.problem, forbidden, batch, num, names, sought, seed, progress=True
-        )
-        made = [optimum.demonstration for optimum in optima]
-        _say_of_optima(optima)
+        made = _optimal(job.problem, forbidden, batch, names, sought, seed)
     write_demonstrations(
         out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
     )
     say(f"wrote {len(made)} demonstrations that avoid {forbidden.name} to {out}")
+
+
+def _drawn(
+    problem: swerve.Problem,
+    forbidden: Constraint,
+    tasks: Task | None,
+    names: list[str],
+    solver: str | None,
+    seed: int,
+) -> list[Demonstration]:
+    """Return demonstrations drawn from pi_c, of these tasks or of some that the MDP draws."""
+    from swerve.tasks import draw_tasks
+
+    if tasks is None:
+        tasks = draw_tasks(problem, len(names), avoid=[forbidden], seed=seed)
+    settings = {"names": names, "solver": solver, "seed": seed, "progress": True}
+    return swerve.demonstrate(problem, forbidden, tasks, **settings)
+
+
+def _optimal(
+    problem: swerve.Problem,
+    forbidden: Constraint,
+    tasks: Task | None,
+    names: list[str],
+    sought: dict[str, Any],
+    seed: int,
+) -> list[Demonstration]:
+    """Return demonstrations by optimal control, and print what was found."""
+    from swerve.demonstrators.optimal_control import SPARE, Settings, first_optima, optimal_control
+    from swerve.tasks import draw_tasks
+
+    how = {"seed": seed, "progress": True}
+    if tasks is None:
+        num = len(names)
+        drawn = draw_tasks(problem, SPARE * num, avoid=[forbidden], seed=seed)
+        optima = first_optima(problem, forbidden, drawn, num, Settings(**sought), **how)
+    else:
+        optima = optimal_control(problem, forbidden, tasks, names=names, **sought, **how)
+    _say_of_optima(optima)
+    return [optimum.demonstration for optimum in optima]
 
 
 def _limits(max_action: float | None) -> tuple[float, float] | None:

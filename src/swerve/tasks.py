@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from swerve.arguments import instance
 from swerve.constraints import Constraint
 from swerve.problem import Problem
 from swerve.space import Task
@@ -67,6 +68,40 @@ def draw_tasks(
             f"{num_tasks} were asked for: give tasks of your own"
         )
     return Task(start[chosen], goal[chosen])
+
+
+def named_tasks(
+    problem: Problem,
+    constraint: Constraint,
+    tasks: Task | Sequence[Task],
+    names: Sequence[str] | None,
+) -> tuple[Task, list[str]]:
+    """Return tasks to be done without entering a constraint, as one batch, and their names.
+
+    Args:
+      problem: what they are of.
+      constraint: to be kept out of.
+      tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
+      names: of the demonstrations; demo_000 and so on if None.
+
+    Raises:
+      ValueError: if an argument is of the wrong kind, the constraint does not fit the MDP, a task
+        does not fit the problem or starts inside the constraint, or there are not as many names.
+    """
+    instance(problem, Problem, "problem", "make one with swerve.Problem")
+    instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
+    constraint.check(problem.mdp.space, problem.mdp.action_names)
+    batch = checked_tasks(problem, tasks)
+    num = len(batch.start)
+    labels = [f"demo_{k:03d}" for k in range(num)] if names is None else list(names)
+    if len(labels) != num:
+        raise ValueError(f"names: expected {num}, one a task, got {len(labels)}")
+    for k in np.flatnonzero(constraint.contains(batch.start, problem.mdp.space)):
+        raise ValueError(
+            f"{labels[k]}: task {k} starts at {batch.start[k].tolist()}, inside {constraint.name}, "
+            "which its demonstration is to keep out of: choose another start"
+        )
+    return batch, labels
 
 
 def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve import estimators
-from swerve.arguments import instance, whole_number
+from swerve.arguments import whole_number
 from swerve.constraints import Constraint
 from swerve.demonstrations import Demonstration
 from swerve.look_ahead import ValuedPolicy
@@ -33,7 +33,7 @@ from swerve.smc import smc_rollout
 from swerve.solvers.tabular import TableNominal
 from swerve.space import Task
 from swerve.systems.tabular import TabularMDP
-from swerve.tasks import checked_tasks
+from swerve.tasks import named_tasks
 from swerve.trajectory import Policy, Trajectory, rollout
 
 SOLVERS = ("grid", "tabular", "soft-value")
@@ -77,19 +77,9 @@ def demonstrate(
       ValueError: if a start lies inside the constraint, a task cannot be done without entering, or
         the solver or the nominal is of another kind.
     """
-    instance(problem, Problem, "problem", "make one with swerve.Problem")
-    instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
     seed = whole_number(seed, "seed", 0)
-    batch = checked_tasks(problem, tasks)
-    for k in np.flatnonzero(constraint.contains(batch.start, problem.mdp.space)):
-        raise ValueError(
-            f"tasks: task {k} starts at {batch.start[k].tolist()}, inside {constraint.name}, which "
-            "its demonstration is to keep out of: choose another start"
-        )
+    batch, labels = named_tasks(problem, constraint, tasks, names)
     constrained = dataclasses.replace(problem, known=(*problem.known, constraint))
-    labels = [f"demo_{k:03d}" for k in range(len(batch.start))] if names is None else list(names)
-    if len(labels) != len(batch.start):
-        raise ValueError(f"names: expected {len(batch.start)}, one a task, got {len(labels)}")
     sources = _sources(constrained, solver, nominal, seed, progress)
     stream = jax.random.fold_in(jax.random.key(seed), STREAM)
     found: dict[int, Demonstration] = {}

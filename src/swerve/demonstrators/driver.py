@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -30,6 +31,7 @@ from swerve.demonstrations import Demonstration
 from swerve.space import Task
 from swerve.systems.car import ACCELERATIONS, TRACK, TURN_RATES, Car
 
+Step = Callable[[jax.Array, jax.Array], jax.Array]  # dynamics
 TURN_GAIN = 2.5  # rad/s per rad
 SPEED_GAIN = 2.0  # m/s2 per m/s
 CREEP = 0.3  # m/s, of who has to brake hard
@@ -139,7 +141,7 @@ def _check_obstacle(obstacle: Box) -> None:
 
 
 def _safely(
-    mdp: Car, step, driver: Driver, obstacle: Box | None, generator: np.random.Generator
+    mdp: Car, step: Step, driver: Driver, obstacle: Box | None, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a drive that does not enter the obstacle."""
     for _ in range(MOST_TRIES):
@@ -155,7 +157,7 @@ def _safely(
 
 def _drive(
     mdp: Car,
-    step,
+    step: Step,
     driver: Driver,
     obstacle: Box | None,
     generator: np.random.Generator,

@@ -22,18 +22,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.arguments import instance, numbers, positive_number, whole_number
+from swerve.arguments import numbers, positive_number, whole_number
 from swerve.constraints import Constraint, violates
 from swerve.demonstrations import Demonstration
 from swerve.demonstrators.obstacles import Obstacle, Path, obstacles_of
 from swerve.problem import Problem
 from swerve.progress import progress_bar
 from swerve.space import TWO_PI, Actions, Task
-from swerve.tasks import checked_tasks
+from swerve.tasks import named_tasks
 
 if TYPE_CHECKING:
     from swerve.demonstrators.transcription import Solution, Transcription
 
+NUM_GUESSES, GOAL_TOLERANCE = 8, 0.05
+SPARE = 2  # times as many tasks to draw as optima are wanted, since not all of them can be done
 TURNS = (0, 1, -1, 2, -2)  # of each angle, beyond the shorter arc, that guesses make
 NUM_WAVES = 3  # sines that a random guess swings by
 SWING = 0.2  # of the extent of a state, their standard deviation
@@ -72,8 +74,8 @@ class Settings(NamedTuple):
 
     limits: tuple[float, float] | None = None
     num_steps: int | None = None
-    num_guesses: int = 8
-    goal_tolerance: float = 0.05
+    num_guesses: int = NUM_GUESSES
+    goal_tolerance: float = GOAL_TOLERANCE
 
 
 def optimal_control(
@@ -84,8 +86,8 @@ def optimal_control(
     names: Sequence[str] | None = None,
     limits: tuple[float, float] | None = None,
     num_steps: int | None = None,
-    num_guesses: int = 8,
-    goal_tolerance: float = 0.05,
+    num_guesses: int = NUM_GUESSES,
+    goal_tolerance: float = GOAL_TOLERANCE,
     seed: int = 0,
     progress: bool = False,
 ) -> list[Optimum]:
@@ -116,54 +118,16 @@ def optimal_control(
       ValueError: if a start lies inside the constraint, or an argument is of the wrong kind or
         range.
     """
-    instance(problem, Problem, "problem", "make one with swerve.Problem")
-    if num_steps is not None:
-        num_steps = whole_number(num_steps, "num_steps", 1)
+    seed = whole_number(seed, "seed", 0)
+    batch, labels = named_tasks(problem, constraint, tasks, names)
     settings = Settings(limits, num_steps, num_guesses, goal_tolerance)
-    batch = checked_tasks(problem, tasks)
-    num = len(batch.start)
+    planner = _Planner(problem, constraint, settings)
     found = []
-    with progress_bar("demonstrating", num, progress) as advance:
-        for optimum in optima(problem, constraint, batch, names, settings, seed):
-            if isinstance(optimum, NoPathError):
-                raise optimum
-            found.append(optimum)
+    with progress_bar("demonstrating", len(labels), progress) as advance:
+        for k, (label, *task) in enumerate(zip(labels, *batch, strict=True)):
+            found.append(planner.plan(Task(*task), label, np.random.default_rng([seed, k])))
             advance(1)
     return found
-
-
-def optima(
-    problem: Problem,
-    constraint: Constraint,
-    tasks: Task,
-    names: Sequence[str] | None,
-    settings: Settings,
-    seed: int,
-) -> Iterator[Optimum | NoPathError]:
-    """Yield for each task in turn a local optimum, or why there is none; see `optimal_control`."""
-    instance(problem, Problem, "problem", "make one with swerve.Problem")
-    instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
-    constraint.check(problem.mdp.space, problem.mdp.action_names)
-    planner = _Planner(
-        problem,
-        constraint,
-        _checked_limits(settings.limits, problem),
-        whole_number(settings.num_steps or problem.mdp.num_steps, "num_steps", 1),
-        positive_number(settings.goal_tolerance, "goal_tolerance"),
-    )
-    num_guesses = whole_number(settings.num_guesses, "num_guesses", 1)
-    seed, num = whole_number(seed, "seed", 0), len(tasks.start)
-    labels = [f"demo_{k:03d}" for k in range(num)] if names is None else list(names)
-    if len(labels) != num:
-        raise ValueError(f"names: expected {num}, one a task, got {len(labels)}")
-    each = [Task(tasks.start[k], tasks.goal[k]) for k in range(num)]
-    for task, label in zip(each, labels, strict=True):
-        planner.check_start(task, label)
-    for k, (task, label) in enumerate(zip(each, labels, strict=True)):
-        try:
-            yield planner.plan(task, label, num_guesses, np.random.default_rng([seed, k]))
-        except NoPathError as error:
-            yield error
 
 
 def first_optima(
@@ -171,30 +135,43 @@ def first_optima(
     constraint: Constraint,
     tasks: Task,
     num: int,
-    names: Sequence[str],
     settings: Settings,
-    seed: int,
-    progress: bool,
+    *,
+    seed: int = 0,
+    progress: bool = False,
 ) -> list[Optimum]:
-    """Return optima of the first so many tasks that can be done; see `optimal_control`.
+    """Return optima, as `optimal_control` does, of the first tasks that can be done.
+
+    Args:
+      problem: the model.
+      constraint: what to keep out of.
+      tasks: [K] of which some may be impossible.
+      num: how many; their names are demo_000 and so on.
+      settings: what is looked for.
+      seed: of the guesses.
+      progress: whether to show a progress bar.
 
     Raises:
       NoPathError: if there are not so many.
     """
+    batch, _ = named_tasks(problem, constraint, tasks, None)
+    planner = _Planner(problem, constraint, settings)
     found: list[Optimum] = []
-    errors: list[NoPathError] = []
+    reason = None
     with progress_bar("demonstrating", num, progress) as advance:
-        for optimum in optima(problem, constraint, tasks, names, settings, seed):
-            if isinstance(optimum, NoPathError):
-                errors.append(optimum)
+        for k, task in enumerate(zip(*batch, strict=True)):
+            label, generator = f"demo_{len(found):03d}", np.random.default_rng([seed, k])
+            try:
+                found.append(planner.plan(Task(*task), label, generator))
+            except NoPathError as error:
+                reason = error
                 continue
-            found.append(optimum)
             advance(1)
             if len(found) == num:
                 return found
     raise NoPathError(
-        f"only {len(found)} of {len(names)} tasks can be done, {num} were asked for; of another: "
-        f"{errors[0]}"
+        f"only {len(found)} of {len(batch.start)} tasks can be done, {num} were asked for; of "
+        f"another: {reason}"
     )
 
 
@@ -215,40 +192,25 @@ def _checked_limits(limits: tuple[float, float] | None, problem: Problem) -> np.
 class _Planner:
     """What is the same for all tasks."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        constraint: Constraint,
-        limits: np.ndarray,
-        num_steps: int,
-        goal_tolerance: float,
-    ) -> None:
-        transcription = _transcription()
+    def __init__(self, problem: Problem, constraint: Constraint, settings: Settings) -> None:
         mdp, names = problem.mdp, tuple(problem.mdp.action_names)
+        num_steps = mdp.num_steps if settings.num_steps is None else settings.num_steps
+        self._num_steps = whole_number(num_steps, "num_steps", 1)
+        self._num_guesses = whole_number(settings.num_guesses, "num_guesses", 1)
+        self._goal_tolerance = positive_number(settings.goal_tolerance, "goal_tolerance")
+        self._mdp, self._limits = mdp, _checked_limits(settings.limits, problem)
+        self._avoided = (constraint, *problem.known)
         spread = np.ptp(np.asarray(mdp.actions), axis=0)
         unit = np.concatenate([mdp.space.extent, np.where(spread > 0.0, spread, 1.0)])
-        self._mdp, self._limits, self._num_steps = mdp, limits, num_steps
-        self._avoided = (constraint, *problem.known)
-        self._goal_tolerance = goal_tolerance
+        transcription = _transcription()
         self._obstacles = [
             obstacle
             for avoided in self._avoided
             for obstacle in obstacles_of(avoided, mdp.space, names, unit)
         ]
-        self._transcription = transcription(mdp, num_steps, limits)
+        self._transcription = transcription(mdp, self._num_steps, self._limits)
 
-    def check_start(self, task: Task, name: str) -> None:
-        """Raise ValueError where a task starts inside what is to be kept out of."""
-        for constraint in self._avoided:
-            if constraint.contains(task.start, self._mdp.space):
-                raise ValueError(
-                    f"{name}: starts at {task.start.tolist()}, inside {constraint.name}, which it "
-                    "is to keep out of: choose another start"
-                )
-
-    def plan(
-        self, task: Task, name: str, num_guesses: int, generator: np.random.Generator
-    ) -> Optimum:
+    def plan(self, task: Task, name: str, generator: np.random.Generator) -> Optimum:
         """Return the best path that is found.
 
         Raises:
@@ -256,7 +218,7 @@ class _Planner:
         """
         endings: Counter[str] = Counter()
         found: list[Solution] = []
-        for guess in self._guesses(task, num_guesses, generator):
+        for guess in self._guesses(task, generator):
             for solution in self._solutions(task, guess, found):
                 fault = self._fault(task, solution)
                 endings[fault or solution.status] += 1
@@ -267,7 +229,7 @@ class _Planner:
         if not found:
             avoided = ", ".join(constraint.name for constraint in self._avoided)
             raise NoPathError(
-                f"{where} no path was found that keeps out of {avoided}, from {num_guesses} "
+                f"{where} no path was found that keeps out of {avoided}, from {self._num_guesses} "
                 f"guesses ({tried}): {self._remedy(endings)}"
             )
         best = max(found, key=lambda solution: solution.reward)
@@ -282,9 +244,9 @@ class _Planner:
         states, actions = best.path
         demonstration = Demonstration(name, states, task, times=times, actions=actions)
         rewards = tuple(_distinct(sorted((solution.reward for solution in found), reverse=True)))
-        return Optimum(demonstration, best.reward, rewards, num_guesses, dict(endings))
+        return Optimum(demonstration, best.reward, rewards, self._num_guesses, dict(endings))
 
-    def _guesses(self, task: Task, num: int, generator: np.random.Generator) -> Iterator[Path]:
+    def _guesses(self, task: Task, generator: np.random.Generator) -> Iterator[Path]:
         """Yield paths to begin with: straight ones, by turns of the angles, then swinging ones."""
         mdp, share = self._mdp, np.linspace(0.0, 1.0, self._num_steps + 1)[:, None]
         is_finite = np.isfinite(self._limits).all(axis=0)
@@ -292,7 +254,7 @@ class _Planner:
         actions = np.tile(action, (self._num_steps, 1))
         ends = self._ends(task, action)
         waves = np.sin(np.pi * np.arange(1, NUM_WAVES + 1) * share)
-        for k in range(num):
+        for k in range(self._num_guesses):
             states = task.start + share * (ends[k % len(ends)] - task.start)
             if k >= len(ends):
                 size = SWING * mdp.space.extent

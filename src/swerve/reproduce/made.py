@@ -4,56 +4,38 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import NamedTuple
 
-from swerve.constraints import Constraint
 from swerve.demonstrations import Demonstration, read_demonstrations, write_demonstrations
-from swerve.demonstrators.optimal_control import Settings, first_optima
+from swerve.demonstrators.optimal_control import SPARE, Settings, first_optima
 from swerve.problem import Problem
-from swerve.reproduce.clock import Clock
+from swerve.reproduce.keeping import Keeping
 from swerve.tasks import draw_tasks
 
 
-class Making(NamedTuple):
-    """How demonstrations are made.
-
-    Attributes:
-      limits: of the actions, as for `optimal_control`.
-      goal_tolerance: as for `optimal_control`.
-      seed: of tasks and guesses.
-      progress: whether to show a progress bar.
-      clock: of what takes long.
-    """
-
-    limits: tuple[float, float] | None
-    goal_tolerance: float
-    seed: int
-    progress: bool
-    clock: Clock
-
-
 def kept_optima(
-    folder: Path, problem: Problem, truth: int, num: int, how: Making
+    keeping: Keeping, name: str, problem: Problem, truth: int, num: int, settings: Settings
 ) -> list[Demonstration]:
     """Return demonstrations that avoid a hypothesis, between states too.
 
     Tasks that cannot be done without entering it are left out.
 
     Args:
-      folder: where they are kept; made there, all or none, unless it exists.
+      keeping: where the folder of the demonstrations is, made there, all or none, unless it exists.
+      name: of that folder.
       problem: whose MDP draws the tasks.
       truth: index of the hypothesis.
       num: how many.
-      how: they are made.
+      settings: what is looked for.
 
     Raises:
       NoPathError: if more than half of the tasks cannot be done.
       ValueError: if the folder holds another number of demonstrations.
     """
+    folder = keeping.folder / name
     if not folder.exists():
-        with how.clock.timing(f"{folder.name}: demonstrations"):
-            made = _optima(problem, problem.hypotheses.constraint(truth), truth, num, how)
-        partial = folder.with_name(f"{folder.name}.partial")
+        with keeping.clock.timing(f"{name}: demonstrations"):
+            made = _optima(keeping, problem, truth, num, settings)
+        partial = folder.with_name(f"{name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         names = problem.mdp.action_names
         write_demonstrations(partial, made, problem.mdp.space, action_names=names)
@@ -65,14 +47,14 @@ def kept_optima(
 
 
 def _optima(
-    problem: Problem, constraint: Constraint, truth: int, num: int, how: Making
+    keeping: Keeping, problem: Problem, truth: int, num: int, settings: Settings
 ) -> list[Demonstration]:
     """Return as many demonstrations as asked for, of the first tasks that can be done."""
-    tasks = draw_tasks(problem, 2 * num, avoid=[constraint], seed=1_000 * how.seed + truth)
-    names = [f"demo_{k:03d}" for k in range(2 * num)]
-    settings = Settings(limits=how.limits, goal_tolerance=how.goal_tolerance)
-    found = first_optima(problem, constraint, tasks, num, names, settings, how.seed, how.progress)
-    return [optimum.demonstration for optimum in found]
+    constraint, seed = problem.hypotheses.constraint(truth), keeping.seed
+    tasks = draw_tasks(problem, SPARE * num, avoid=[constraint], seed=1_000 * seed + truth)
+    how = {"seed": seed, "progress": keeping.progress}
+    optima = first_optima(problem, constraint, tasks, num, settings, **how)
+    return [optimum.demonstration for optimum in optima]
 
 
 def read_folder(folder: Path, problem: Problem, most: int | None = None) -> list[Demonstration]:
