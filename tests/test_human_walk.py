@@ -17,7 +17,7 @@ from matplotlib.image import imread, imsave
 
 from swerve.occupancy import Occupancy
 from swerve.posterior import posterior
-from swerve.reproduce import human_beta, human_walk, human_walk_figures
+from swerve.reproduce import files, human_beta, human_walk, human_walk_figures
 from swerve.reproduce.human_tracks import read_room, read_tracks
 from swerve.reproduce.human_walk import Result
 from swerve.sliding import windows
@@ -160,7 +160,9 @@ def test_without_an_obstacle_nothing_is_sure(tmp_path: Path) -> None:
 
 
 def test_what_is_drawn_is_what_was_measured(planted: Result, tmp_path: Path) -> None:
-    written = human_walk_figures.write(planted, tmp_path)
+    written = files.write(
+        tmp_path, human_walk_figures.parts(planted), human_walk_figures.tables(planted)
+    )
     assert len(written) == 13
     shown = (tmp_path / "human_walk_picks.md").read_text()
     first = human_walk.picks_json(planted.answer)[0]
@@ -187,7 +189,7 @@ def test_what_is_drawn_is_what_was_measured(planted: Result, tmp_path: Path) -> 
     rows = rows_of(tmp_path / "human_walk_beta.csv")
     [chosen] = [row for row in rows if row["is_chosen"] == "1"]
     assert float(chosen["beta_per_m"]) == pytest.approx(planted.beta.value, rel=1e-5)
-    text = human_walk_figures.table(planted)
+    text = human_walk_figures.text(planted)
     assert f"beta {planted.beta.value:.3g} per metre" in text
     assert len(text.splitlines()) >= 4 + len(planted.sensitivity) * 2
 

@@ -21,8 +21,8 @@ from matplotlib.patches import Rectangle
 from swerve.demonstrations import Demonstration
 from swerve.inference import infer
 from swerve.problem import Problem
+from swerve.reproduce import files, gridworld, gridworld_figures
 from swerve.reproduce import golden as golden_output
-from swerve.reproduce import gridworld, gridworld_figures
 from swerve.reproduce.golden import Golden, Picked, compare, read_golden
 from swerve.rewards import divergence, taken_actions
 from swerve.sampling import sample
@@ -253,7 +253,9 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 def test_files_hold_what_the_figures_show(golden: Path, tmp_path: Path) -> None:
     result = gridworld.reproduce(golden)
-    written = gridworld_figures.write(result, tmp_path / "out")
+    written = files.write(
+        tmp_path / "out", gridworld_figures.parts(result), gridworld_figures.tables(result)
+    )
     assert {path.name for path in written} == {
         "gridworld_means.md",
         *(
@@ -376,7 +378,7 @@ def test_without_golden_output() -> None:
     result = gridworld.measure(world)
     assert result.golden is None
     assert result.agreement is None
-    text = gridworld_figures.table(result)
+    text = gridworld_figures.text(result)
     assert "golden" not in text
     assert len(gridworld_figures.curve_rows(result)) == 1 + 3 * 2
     fewer = result.curves.num_false.mean(axis=1)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from command import Run
 
-from swerve import Car, infer
+from swerve import Box, Car, infer
 from swerve.demonstrators.driver import drives
 from swerve.exact import Drawn, ExactAnswer, exact_evidence
 from swerve.reproduce import car, car_figures
-from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, regions, truth, verdict
+from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, truth, verdict
 from swerve.solvers.soft_value import SoftValue
 from swerve.temperature import BetaFit
 
@@ -32,15 +32,12 @@ SMALL = car.Scale(
 
 @pytest.mark.parametrize("num_rows", [14, 7, 4])
 def test_the_true_region_holds_the_middle_of_the_obstacle(num_rows: int) -> None:
-    x_low, x_high, y_low, y_high = regions(num_rows)[truth(num_rows)]
-    (left, right), (front, back) = OBSTACLE.intervals["x"], OBSTACLE.intervals["y"]
-    assert (x_low, x_high) == pytest.approx((left, right))
-    assert y_low < 0.5 * (front + back) < y_high
-    cells = car.model(SMALL._replace(num_rows=num_rows), 0.4).hypotheses
-    for index, corners in enumerate(regions(num_rows)):
-        middle = np.array([corners[:2].mean(), corners[2:].mean(), 0.0, 1.0])
-        space = car.model(SMALL, 0.4).mdp.space
-        assert cells.constraint(index).contains(middle, space)
+    problem = car.model(SMALL._replace(num_rows=num_rows), 0.4)
+    region = problem.hypotheses.constraint(truth(num_rows))
+    middle = [0.5 * sum(OBSTACLE.intervals[name]) for name in ("x", "y")]
+    assert region.contains(np.array([*middle, 0.0, 1.0]), problem.mdp.space)
+    assert isinstance(region, Box)
+    assert region.intervals["x"] == pytest.approx(OBSTACLE.intervals["x"])
 
 
 def test_verdicts() -> None:

@@ -203,9 +203,19 @@ def test_the_double_pendulum(run: Run, tmp_path: Path, monkeypatch: pytest.Monke
     assert status == 0, said
     assert "soft value + SMC" in printed
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"double_pendulum_rank.csv", "double_pendulum_ranks.md"} <= names
+    for name in (
+        "double_pendulum_rank.csv",
+        "double_pendulum_time.png",
+        "double_pendulum_ranks.md",
+    ):
+        assert name in names
     with (tmp_path / "out" / "double_pendulum_rank.csv").open() as file:
         assert {row["way"] for row in csv.DictReader(file)} == {
             "soft value + SMC",
             "MLCI-Discrete, 6 cells an axis, 10 steps",
         }
+    with (tmp_path / "out" / "double_pendulum_time.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for way in {row["way"] for row in rows}:
+        one, two = (float(row["wall_time_s"]) for row in rows if row["way"] == way)
+        assert 0.0 < one < two

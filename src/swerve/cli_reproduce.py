@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from swerve.cli_options import AsJson, say
+
+if TYPE_CHECKING:
+    from swerve.reproduce.files import Part
 
 WORK = "work"  # folder in --out of what takes long
 
@@ -81,36 +85,32 @@ def _car(out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import car, car_figures
 
     result = car.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
-    written = car_figures.write(result, out)
-    print(car_figures.table(result))
-    _say_written(written, out)
+    print(car_figures.text(result))
+    _write(out, car_figures.parts(result), car_figures.tables(result))
 
 
 def _double_pendulum(out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import double_pendulum, double_pendulum_figures
 
     result = double_pendulum.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
-    written = double_pendulum_figures.write(result, out)
-    print(double_pendulum_figures.table(result))
-    _say_written(written, out)
+    print(double_pendulum_figures.text(result))
+    _write(out, double_pendulum_figures.parts(result), double_pendulum_figures.tables(result))
 
 
 def _pendulum(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import pendulum, pendulum_figures
 
     result = pendulum.reproduce(out / WORK, data, is_quick=is_quick, seed=seed, progress=True)
-    written = pendulum_figures.write(result, out)
-    print(pendulum_figures.table(result))
-    _say_written(written, out)
+    print(pendulum_figures.text(result))
+    _write(out, pendulum_figures.parts(result), pendulum_figures.tables(result))
 
 
 def _gridworld(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import gridworld, gridworld_figures
 
     result = gridworld.reproduce(data, is_quick=is_quick, seed=seed, progress=True)
-    written = gridworld_figures.write(result, out)
-    print(gridworld_figures.table(result))
-    _say_written(written, out)
+    print(gridworld_figures.text(result))
+    _write(out, gridworld_figures.parts(result), gridworld_figures.tables(result))
 
 
 def _human_walk(
@@ -121,10 +121,12 @@ def _human_walk(
     if data is None or not data.is_dir():
         raise ValueError(f"--data {data}: expected a folder of tracks.csv and room.png")
     result = human_walk.reproduce(data, is_quick=is_quick, seed=seed, progress=True)
-    print(json.dumps(human_walk.to_json(result)) if as_json else human_walk_figures.table(result))
+    print(json.dumps(human_walk.to_json(result)) if as_json else human_walk_figures.text(result))
     if out is not None:
-        _say_written(human_walk_figures.write(result, out), out)
+        _write(out, human_walk_figures.parts(result), human_walk_figures.tables(result))
 
 
-def _say_written(written: list[Path], out: Path) -> None:
-    say(f"wrote {', '.join(path.name for path in written)} to {out}")
+def _write(out: Path, parts: Sequence[Part], tables: Mapping[str, str]) -> None:
+    from swerve.reproduce.files import write
+
+    say(f"wrote {', '.join(path.name for path in write(out, parts, tables))} to {out}")

@@ -32,7 +32,7 @@ from swerve.monitor import Monitor
 from swerve.nominal import Nominal, learn, load_nominal, save_nominal
 from swerve.problem import Problem
 from swerve.progress import progress_bar
-from swerve.reproduce.clock import Clock, work_folder
+from swerve.reproduce.keeping import Keeping
 from swerve.resolving import resolve
 from swerve.sampling import sample
 from swerve.solvers.soft_value import SoftValue
@@ -132,8 +132,7 @@ class Result(NamedTuple):
     Attributes:
       scale: how much was done.
       drives: around the obstacle.
-      free: drives with nothing in the way.
-      fit: beta of these.
+      fit: beta of drives with nothing in the way.
       evidence: at that beta, resolved.
       singles: what each drive alone tells.
       early: when a monitor knew, for each drive.
@@ -146,7 +145,6 @@ class Result(NamedTuple):
 
     scale: Scale
     drives: list[Demonstration]
-    free: list[Demonstration]
     fit: BetaFit
     evidence: Evidence
     singles: list[Single]
@@ -174,24 +172,21 @@ def reproduce(
       ValueError: if beta cannot be told from the drives.
     """
     scale = QUICK if is_quick else FULL
-    folder = work_folder(folder, is_quick, seed)
-    clock = Clock(folder / "seconds.json")
+    keeping = Keeping.at(folder, is_quick, seed, progress)
     made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
     free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
-    keep = _Keep(folder, clock, seed, progress)
-    fit, nominal, evidence = _fitted(scale, free, keep)
-    evidence = _resolved(nominal, evidence, made, folder / "resolved.evidence", keep)
-    foresight = _foresight(nominal, evidence, scale, keep)
+    fit, nominal, evidence = _fitted(keeping, scale, free)
+    evidence = _resolved(keeping, nominal, evidence, made)
+    foresight = _foresight(keeping, nominal, evidence, scale)
     with progress_bar("monitoring", len(made), progress) as advance:
         early = []
         for drive in made:
             early.append(_early(evidence, foresight, drive, scale.num_rows))
             advance(1)
-    paper_evidence = keep.evidence("paper", nominal, scale.num_paper, PAPER_BETA)
+    paper_evidence = _evidence(keeping, "paper", nominal, scale.num_paper, PAPER_BETA)
     return Result(
         scale,
         made,
-        free,
         fit,
         evidence,
         [_single(evidence, drive) for drive in made],
@@ -200,7 +195,7 @@ def reproduce(
         _seven_share(evidence, made, truth(scale.num_rows), seed),
         [_single(paper_evidence, drive) for drive in made],
         paper_evidence,
-        clock.seconds,
+        keeping.clock.seconds,
     )
 
 
@@ -223,112 +218,87 @@ def verdict(index: int, num_rows: int) -> str:
     return (EXACT, NEXT, OTHER)[min(abs(lane - true_lane) + abs(row - true_row), 2)]
 
 
-def regions(num_rows: int) -> np.ndarray:
-    """Return x and y of the corners of each region [H, 4]: x low, x high, y low, y high [m]."""
-    x = np.linspace(*TRACK, NUM_LANES + 1)
-    y = np.linspace(0.0, GOAL_LINE, num_rows + 1)
-    return np.array(
-        [
-            [x[lane], x[lane + 1], y[row], y[row + 1]]
-            for lane in range(NUM_LANES)
-            for row in range(num_rows)
-        ]
-    )
+def _nominal(keeping: Keeping, name: str, problem: Problem, solver: SoftValue) -> Nominal:
+    """Return what is learned of a problem."""
+    path, checkpoint = (keeping.folder / f"{name}.{kind}" for kind in ("nominal", "checkpoint"))
+    if not path.exists():
+        how = {"seed": keeping.seed, "progress": keeping.progress, "checkpoint": checkpoint}
+        with keeping.clock.timing(f"{name}: learn"):
+            nominal = learn(problem, solver, tasks=Task.stack([TASK]), **how)
+        save_nominal(path, nominal)
+        checkpoint.unlink(missing_ok=True)
+    return load_nominal(path, problem)
 
 
-class _Keep(NamedTuple):
-    """Learns and samples what a folder does not hold yet."""
-
-    folder: Path
-    clock: Clock
-    seed: int
-    progress: bool
-
-    def nominal(self, name: str, problem: Problem, solver: SoftValue) -> Nominal:
-        """Return what is learned of a problem."""
-        path, checkpoint = (self.folder / f"{name}.{kind}" for kind in ("nominal", "checkpoint"))
-        if not path.exists():
-            with self.clock.timing(f"{name}: learn"):
-                task = Task.stack([TASK])
-                nominal = learn(
-                    problem,
-                    solver,
-                    tasks=task,
-                    seed=self.seed,
-                    progress=self.progress,
-                    checkpoint=checkpoint,
-                )
-            save_nominal(path, nominal)
-            checkpoint.unlink(missing_ok=True)
-        return load_nominal(path, problem)
-
-    def evidence(
-        self, name: str, nominal: Nominal, num: int, beta: float | None = None
-    ) -> Evidence:
-        """Return evidence of the one task, by way of others of another beta if one is given."""
-        path = self.folder / f"{name}.evidence"
-        wanted = (
-            nominal.problem if beta is None else dataclasses.replace(nominal.problem, beta=beta)
+def _evidence(
+    keeping: Keeping, name: str, nominal: Nominal, num: int, beta: float | None = None
+) -> Evidence:
+    """Return evidence of the one task, by way of others of another beta if one is given."""
+    path = keeping.folder / f"{name}.evidence"
+    if not path.exists():
+        how = {"beta": beta, "seed": keeping.seed, "progress": keeping.progress}
+        with keeping.clock.timing(f"{name}: sample"):
+            evidence = sample(nominal, TASK, num, **how)
+        evidence.save(path)
+    evidence = Evidence.load(path)
+    wanted = nominal.problem if beta is None else dataclasses.replace(nominal.problem, beta=beta)
+    if evidence.problem.fingerprint != wanted.record.fingerprint:
+        raise ValueError(
+            f"{path}: expected evidence of {wanted.record.summary}, got that of "
+            f"{evidence.problem.summary}: remove it"
         )
-        if not path.exists():
-            with self.clock.timing(f"{name}: sample"):
-                sample(nominal, TASK, num, beta=beta, seed=self.seed, progress=self.progress).save(
-                    path
-                )
-        evidence = Evidence.load(path)
-        if evidence.problem.fingerprint != wanted.record.fingerprint:
-            raise ValueError(
-                f"{path}: expected evidence of {wanted.record.summary}, got that of "
-                f"{evidence.problem.summary}: remove it"
-            )
-        return evidence
+    return evidence
 
 
 def _fitted(
-    scale: Scale, free: list[Demonstration], keep: _Keep
+    keeping: Keeping, scale: Scale, free: list[Demonstration]
 ) -> tuple[BetaFit, Nominal, Evidence]:
     """Return beta by maximum likelihood, and what is learned and sampled of it."""
-    first = keep.nominal("first", model(scale, FIRST_BETA), scale.solver)
-    fit = fit_beta(first.problem, keep.evidence("first", first, scale.num_trajectories), free)
+    num, solver = scale.num_trajectories, scale.solver
+    first = _nominal(keeping, "first", model(scale, FIRST_BETA), solver)
+    fit = fit_beta(first.problem, _evidence(keeping, "first", first, num), free)
     if fit.at_boundary:
         raise ValueError(f"the drives tell no beta: {fit}")
     beta = float(f"{fit.beta:.2g}")
-    nominal = keep.nominal("fitted", model(scale, beta), scale.solver)
-    return fit, nominal, keep.evidence("fitted", nominal, scale.num_trajectories)
+    nominal = _nominal(keeping, "fitted", model(scale, beta), solver)
+    return fit, nominal, _evidence(keeping, "fitted", nominal, num)
 
 
 def _resolved(
-    nominal: Nominal, evidence: Evidence, made: list[Demonstration], path: Path, keep: _Keep
+    keeping: Keeping, nominal: Nominal, evidence: Evidence, made: list[Demonstration]
 ) -> Evidence:
     """Return evidence with what the single rankings hang on worked out."""
+    path = keeping.folder / "resolved.evidence"
     if path.exists():
         evidence = Evidence.load(path)
-    with keep.clock.timing("resolve"):
+    with keeping.clock.timing("resolve"):
         for drive in made:
             inference = infer(evidence, [drive])
             if inference.is_open.any():
                 evidence = resolve(
                     nominal,
                     inference,
-                    seed=keep.seed,
-                    progress=keep.progress,
+                    seed=keeping.seed,
+                    progress=keeping.progress,
                     keep=lambda found: found.save(path),
                 )
     return evidence
 
 
-def _foresight(nominal: Nominal, evidence: Evidence, scale: Scale, keep: _Keep) -> Foresight:
-    path = keep.folder / "foresight"
+def _foresight(keeping: Keeping, nominal: Nominal, evidence: Evidence, scale: Scale) -> Foresight:
+    """Return what is foreseen of each region from any state."""
+    path = keeping.folder / "foresight"
     if not path.exists():
-        with keep.clock.timing("foresee"):
-            foresee(
+        with keeping.clock.timing("foresee"):
+            found = foresee(
                 nominal,
                 evidence,
                 num_trajectories=scale.num_rollouts,
                 num_updates=scale.num_updates,
-                seed=keep.seed,
-                progress=keep.progress,
-            ).save(path)
+                seed=keeping.seed,
+                progress=keeping.progress,
+            )
+        found.save(path)
     return Foresight.load(path, nominal.problem)
 
 

@@ -8,19 +8,21 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from swerve.evidence import Evidence
 from swerve.figures import FAINT, INK, open_sides
-from swerve.reproduce import files
+from swerve.grids import GridHypotheses
 from swerve.reproduce.car import (
     EXACT,
     NEXT,
+    NUM_FREE,
     OBSTACLE,
     OTHER,
     PAPER_BETA,
@@ -28,12 +30,10 @@ from swerve.reproduce.car import (
     TIED,
     Result,
     Single,
-    regions,
     truth,
     verdict,
 )
-from swerve.reproduce.files import SIZE, SMALL, column, markdown
-from swerve.reproduce.rank_figures import time_table
+from swerve.reproduce.files import SIZE, SMALL, Part, column, markdown, time_table
 from swerve.samples import NUM_KEPT
 from swerve.shading import COLOURS
 from swerve.systems.car import GOAL_LINE, TRACK
@@ -43,28 +43,30 @@ PAPER = {EXACT: 3, NEXT: 4, OTHER: 0, TIED: 0}  # of seven drives
 MOST_DRAWN = 40  # drives in the picture
 
 
-def write(result: Result, folder: Path) -> list[Path]:
-    """Write the figures as PNG and SVG, the numbers in them as CSV, tables as Markdown.
+def parts(result: Result) -> list[Part]:
+    """Return the figures."""
+    return [
+        Part("car_track", draw_track(result), region_rows(result)),
+        Part("car_early", draw_early(result), drive_rows(result)),
+    ]
 
-    Returns:
-      The files, in a folder that is created if need be.
 
-    Raises:
-      OSError: if one cannot be written; files are replaced when complete.
-    """
-    return files.write(
-        folder,
-        [
-            ("car_track", draw_track(result), region_rows(result)),
-            ("car_early", draw_early(result), drive_rows(result)),
-        ],
-        {
-            "car_drives": _count_table(result),
-            "car_facts": _fact_table(result),
-            "car_regions": _region_table(result),
-            "car_times": time_table(result.seconds),
-        },
-    )
+def tables(result: Result) -> dict[str, str]:
+    """Return tables as Markdown."""
+    return {
+        "car_drives": _count_table(result),
+        "car_facts": _fact_table(result),
+        "car_regions": _region_table(result),
+        "car_times": time_table(result.seconds),
+    }
+
+
+def corners(result: Result) -> np.ndarray:
+    """Return x and y of the corners of each region [H, 4]: x low, x high, y low, y high [m]."""
+    hypotheses = result.evidence.problem.hypotheses
+    assert isinstance(hypotheses, GridHypotheses)
+    boxes = [hypotheses.constraint(index) for index in range(len(hypotheses))]
+    return np.array([[*box.intervals["x"], *box.intervals["y"]] for box in boxes])
 
 
 def counts(singles: Sequence[Single], num_rows: int) -> dict[str, int]:
@@ -86,9 +88,9 @@ def region_rows(result: Result) -> list[list[str]]:
     single, seven = mean_posterior(result.singles), result.seven.posterior
     rows = [["region", "x_low_m", "x_high_m", "y_low_m", "y_high_m", "log_avoid_nats",
              "posterior_of_one_drive", "posterior_of_seven"]]  # fmt: skip
-    for index, corners in enumerate(regions(result.scale.num_rows)):
+    for index, sides in enumerate(corners(result)):
         numbers = (
-            *corners,
+            *sides,
             result.evidence.log_ratio[0, index],
             single[index],
             seven.hypotheses[index],
@@ -119,8 +121,8 @@ def draw_track(result: Result) -> Figure:
         (left, mean_posterior(result.singles)[:-1], "after one drive"),
         (right, seven, f"after {SEVEN} drives"),
     ):
-        for corners, value in zip(regions(result.scale.num_rows), values, strict=True):
-            _shade(axes, corners, float(value))
+        for sides, value in zip(corners(result), values, strict=True):
+            _shade(axes, sides, float(value))
         axes.set_title(title, fontsize=SIZE, loc="left", fontweight="bold")
         axes.set(xlim=TRACK, ylim=(0.0, GOAL_LINE))
         axes.set_xlabel("x [m]", fontsize=SIZE)
@@ -130,7 +132,8 @@ def draw_track(result: Result) -> Figure:
         label = "_" if number else "a drive"
         left.plot(*drive.states[:, :2].T, color=INK, lw=0.4, alpha=0.5, label=label, zorder=3)
     left.set_ylabel("y, along the track [m]", fontsize=SIZE)
-    scale = figure.colorbar(_mappable(), ax=(left, right), location="bottom", aspect=30, pad=0.02)
+    shades = ScalarMappable(Normalize(0.0, 1.0), COLOURS)
+    scale = figure.colorbar(shades, ax=(left, right), location="bottom", aspect=30, pad=0.02)
     scale.set_label("posterior probability of the region", fontsize=SMALL)
     scale.ax.tick_params(labelsize=SMALL)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2,
@@ -138,15 +141,8 @@ def draw_track(result: Result) -> Figure:
     return figure
 
 
-def _mappable():
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(0.0, 1.0), COLOURS)
-
-
-def _shade(axes: Axes, corners: np.ndarray, value: float) -> None:
-    x_low, x_high, y_low, y_high = corners
+def _shade(axes: Axes, sides: np.ndarray, value: float) -> None:
+    x_low, x_high, y_low, y_high = sides
     size = (x_high - x_low, y_high - y_low)
     colour = COLOURS(value)
     style = {"facecolor": colour, "edgecolor": FAINT, "lw": 0.4}
@@ -190,7 +186,15 @@ def draw_early(result: Result) -> Figure:
 
 def _count_table(result: Result) -> str:
     beta, num = result.evidence.problem.beta, len(result.drives)
-    rows = [["the paper, beta 200", "7", *(str(PAPER[name]) for name in VERDICTS), "", ""]]
+    rows = [
+        [
+            f"the paper, beta {PAPER_BETA:g}",
+            str(SEVEN),
+            *(str(PAPER[name]) for name in VERDICTS),
+            "",
+            "",
+        ]
+    ]
     for name, singles in (
         (f"Swerve, beta {beta:.3g}", result.singles),
         (f"samples brought to beta {PAPER_BETA:g}", result.paper),
@@ -216,16 +220,13 @@ def _fact_table(result: Result) -> str:
     off, late = _ends(result)
     rows = [
         ["beta of drives with nothing in the way", f"{fit.beta:.3g} ({low:.3g} to {high:.3g})"],
-        ["drives with nothing in the way", str(len(result.free))],
+        ["drives with nothing in the way", str(NUM_FREE)],
         [f"nominal trajectories that leave the track, of {NUM_KEPT}", f"{off:.0%}"],
         [f"nominal trajectories that never arrive, of {NUM_KEPT}", f"{late:.0%}"],
         ["effective sample size", _share(result.evidence)],
         [f"the same of samples brought to beta {PAPER_BETA:g}", _share(paper)],
         ["first after seven drives", first],
-        [
-            "posterior of the true region after seven",
-            f"{true:.3f}",
-        ],
+        ["posterior of the true region after seven", f"{true:.3f}"],
         ["posterior of no constraint after seven", f"{seven.none:.2g}"],
         ["random sets of seven with the truth first", f"{result.seven_share:.0%}"],
         ["monitor believes in it or a neighbour from y [m] on, median", _median(near)],
@@ -255,19 +256,18 @@ def _ends(result: Result) -> tuple[float, float]:
 def _region_table(result: Result) -> str:
     """Return what driving around each region of the right lane costs."""
     evidence = result.evidence
-    rows, num_rows = [], result.scale.num_rows
-    for index in range(num_rows, 2 * num_rows):
-        _, _, low, high = regions(num_rows)[index]
-        error = evidence.standard_error[0, index]
-        floored = evidence.is_floored[0, index]
-        told = f"< {evidence.log_ratio[0, index]:.1f}" if floored else (
-            f"{evidence.log_ratio[0, index]:.1f} ± {error:.1f}"
-        )  # fmt: skip
-        rows.append([f"{low:.2f} to {high:.2f}", told])
+    rows = []
+    for index, (x_low, _, low, high) in enumerate(corners(result)):
+        if x_low > TRACK[0]:
+            told = f"{evidence.log_ratio[0, index]:.1f}"
+            error = f" ± {evidence.standard_error[0, index]:.1f}"
+            is_bound = evidence.is_floored[0, index]
+            shown = f"< {told}" if is_bound else told + error
+            rows.append([f"{low:.2f} to {high:.2f}", shown])
     return markdown(["right lane, y [m]", "log probability of avoiding it [nats]"], rows)
 
 
-def table(result: Result) -> str:
+def text(result: Result) -> str:
     """Return what the terminal shows."""
     num, found = len(result.drives), counts(result.singles, result.scale.num_rows)
     belief = result.seven.posterior

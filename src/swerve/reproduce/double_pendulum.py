@@ -11,8 +11,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from swerve.reproduce.clock import Clock, work_folder
-from swerve.reproduce.made import Making, kept_optima
+from swerve.demonstrators.optimal_control import Settings
+from swerve.reproduce.keeping import Keeping
+from swerve.reproduce.made import kept_optima
 from swerve.reproduce.ways import (
     DISCRETE,
     SOFT_VALUE,
@@ -23,11 +24,10 @@ from swerve.reproduce.ways import (
     infer_from,
 )
 from swerve.systems.double_pendulum import double_pendulum
-from swerve.work import Work
 
 TRUTH = 66  # theta_1 and theta_2 in [0.3, 0.6) rad
 NAME = "both angles in [0.3, 0.6) rad"
-ANYWHERE = 1e3  # goal tolerance: how near is near enough is for the reward to say
+SOUGHT = Settings(goal_tolerance=1e3)  # how near is near enough is for the reward to say
 MODEL = "double-pendulum?between_states=false"
 
 
@@ -97,14 +97,11 @@ def reproduce(
       OSError: if a file cannot be written.
     """
     scale = QUICK if is_quick else FULL
-    folder = work_folder(folder, is_quick, seed)
-    clock = Clock(folder / "seconds.json")
-    how = Making(None, ANYWHERE, seed, progress, clock)
+    keeping = Keeping.at(folder, is_quick, seed, progress)
     problem, num = double_pendulum(between_states=False), scale.num_demonstrations
-    source = Source(NAME, kept_optima(folder / "made", problem, TRUTH, num, how), TRUTH)
+    source = Source(NAME, kept_optima(keeping, "made", problem, TRUTH, num, SOUGHT), TRUTH)
     answers = []
     for way in scale.ways:
-        asked = way.settings(scale.num_trajectories, seed)
-        work = Work(MODEL, folder / "model", asked, progress=progress)
-        answers += infer_from(work, way, way.label, [source], clock, seed)
-    return Result(scale, source, best_tables(answers), clock.seconds)
+        num = scale.num_trajectories
+        answers += infer_from(keeping, "double_pendulum", MODEL, way, num, [source])
+    return Result(scale, source, best_tables(answers), keeping.clock.seconds)

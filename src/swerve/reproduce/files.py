@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,6 +18,20 @@ WIDTH = 3.5  # in, a column of a paper
 SIZE, SMALL = 8.0, 7.0  # pt
 
 
+class Part(NamedTuple):
+    """A figure and what is behind it.
+
+    Attributes:
+      name: of the files.
+      figure: the picture.
+      rows: of the numbers in it, the first of titles.
+    """
+
+    name: str
+    figure: Figure
+    rows: list[list[str]]
+
+
 def column(height: float) -> Figure:
     """Return a figure as wide as a column, of some height [in]."""
     figure = Figure((WIDTH, height), facecolor="white", layout="constrained")
@@ -24,25 +39,21 @@ def column(height: float) -> Figure:
     return figure
 
 
-def write(
-    folder: Path,
-    parts: Sequence[tuple[str, Figure, list[list[str]]]],
-    tables: Mapping[str, str],
-) -> list[Path]:
+def write(folder: Path, parts: Sequence[Part], tables: Mapping[str, str]) -> list[Path]:
     """Write figures as PNG and SVG, the rows of their numbers as CSV, and tables as Markdown.
 
     Args:
       folder: created if need be.
-      parts: the name of the files, the figure and the rows of each.
+      parts: the figures.
       tables: Markdown by the name of its file, which the documentation shows as it is.
 
     Raises:
       OSError: if one cannot be written; files are replaced when complete.
     """
     written = []
-    for part, figure, rows in parts:
-        assert len({len(row) for row in rows}) == 1, part  # columns under their own names
-        path = folder / part
+    for name, figure, rows in parts:
+        assert len({len(row) for row in rows}) == 1, name  # columns under their own names
+        path = folder / name
         store.write_text(path.with_suffix(".csv"), csv_text(rows))
         store.write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))
         store.write_bytes(path.with_suffix(".png"), _rendered(figure, "png"))
@@ -57,6 +68,12 @@ def markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table as Markdown."""
     lines = [titles, ["---"] * len(titles), *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def time_table(seconds: dict[str, float]) -> str:
+    """Return how long what took as Markdown."""
+    rows = [[name, f"{value:.0f} s"] for name, value in seconds.items()]
+    return markdown(["what", "wall time"], rows)
 
 
 def _rendered(figure: Figure, form: str) -> bytes:

@@ -7,7 +7,6 @@ Shapes: K thresholds, E sets of demonstrations, L sizes, H hypotheses, R rectang
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve.figures import FAINT, INK, open_sides
-from swerve.reproduce import files
-from swerve.reproduce.files import SIZE, SMALL, column, markdown
+from swerve.reproduce.files import SIZE, SMALL, Part, column, markdown
 from swerve.reproduce.gridworld import Curves, Result, labels
 from swerve.shading import COLOURS
 from swerve.systems.gridworld import MOVES, Gridworld
@@ -44,23 +42,17 @@ CURVE_COLUMNS: tuple[str, ...] = (
 )  # fmt: skip
 
 
-def write(result: Result, folder: Path) -> list[Path]:
-    """Write the figures as PNG and SVG, and the numbers in them as CSV.
+def parts(result: Result) -> list[Part]:
+    """Return the figures."""
+    return [
+        Part("gridworld_curves", draw_curves(result), curve_rows(result)),
+        Part("gridworld_violations", draw_violations(result), violation_rows(result)),
+    ]
 
-    Returns:
-      The files, in a folder that is created if need be.
 
-    Raises:
-      OSError: if one cannot be written; files are replaced when complete.
-    """
-    return files.write(
-        folder,
-        [
-            ("gridworld_curves", draw_curves(result), curve_rows(result)),
-            ("gridworld_violations", draw_violations(result), violation_rows(result)),
-        ],
-        {"gridworld_means": summary(result)},
-    )
+def tables(result: Result) -> dict[str, str]:
+    """Return tables as Markdown."""
+    return {"gridworld_means": summary(result)}
 
 
 def sources(result: Result) -> list[tuple[str, Curves, int]]:
@@ -143,7 +135,7 @@ def _agreed(result: Result) -> str:
     )
 
 
-def table(result: Result) -> str:
+def text(result: Result) -> str:
     """Return means over the sets as text: false positives, picks and KL [nats]."""
     columns = _columns(result)
     lines = [

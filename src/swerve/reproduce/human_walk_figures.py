@@ -7,7 +7,6 @@ Shapes: H hypotheses, N numbers of tracks.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve.figures import FAINT, INK, open_sides
-from swerve.reproduce import files
-from swerve.reproduce.files import SIZE, SMALL, column, markdown
+from swerve.reproduce.files import SIZE, SMALL, Part, column, markdown
 from swerve.reproduce.human_walk import (
     INTERVAL,
     WIDTH,
@@ -36,25 +34,19 @@ WALL = "#8c8c8c"
 DARK, LIGHT = COLOURS(1.0), COLOURS(0.5)
 
 
-def write(result: Result, folder: Path) -> list[Path]:
-    """Write the figures as PNG and SVG, and the numbers in them as CSV.
+def parts(result: Result) -> list[Part]:
+    """Return the figures."""
+    return [
+        Part("human_walk_map", draw_map(result), map_rows(result)),
+        Part("human_walk_belief", draw_belief(result), belief_rows(result)),
+        Part("human_walk_beta", draw_beta(result), beta_rows(result)),
+        Part("human_walk_sensitivity", draw_sensitivity(result), sensitivity_rows(result)),
+    ]
 
-    Returns:
-      The files, in a folder that is created if need be.
 
-    Raises:
-      OSError: if one cannot be written; files are replaced when complete.
-    """
-    return files.write(
-        folder,
-        [
-            ("human_walk_map", draw_map(result), map_rows(result)),
-            ("human_walk_belief", draw_belief(result), belief_rows(result)),
-            ("human_walk_beta", draw_beta(result), beta_rows(result)),
-            ("human_walk_sensitivity", draw_sensitivity(result), sensitivity_rows(result)),
-        ],
-        {"human_walk_picks": summary(result)},
-    )
+def tables(result: Result) -> dict[str, str]:
+    """Return tables as Markdown."""
+    return {"human_walk_picks": summary(result)}
 
 
 def summary(result: Result) -> str:
@@ -70,7 +62,7 @@ def summary(result: Result) -> str:
     return "; ".join(_head(result)) + ".\n\n" + markdown(titles, rows)
 
 
-def table(result: Result) -> str:
+def text(result: Result) -> str:
     """Return beta and, at it and about half and twice as much, the picks as text."""
     lines = [
         *_head(result),

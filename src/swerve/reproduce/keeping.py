@@ -1,4 +1,4 @@
-"""How long what took, also in parts."""
+"""What takes long is kept, with the time that it took, also in parts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from swerve import store
 
@@ -41,8 +42,24 @@ class Clock:
             store.write_json(self._path, {"seconds": self.seconds, "finished": self._finished})
 
 
-def work_folder(folder: Path, is_quick: bool, seed: int) -> Path:
-    """Return where a result of this size and seed keeps what takes long."""
-    place = folder / f"{'quick' if is_quick else 'full'}.seed{seed}"
-    place.mkdir(parents=True, exist_ok=True)
-    return place
+class Keeping(NamedTuple):
+    """Where a result is made, and how.
+
+    Attributes:
+      folder: of what takes long, which is found again there.
+      clock: of it.
+      seed: of everything random.
+      progress: whether to show progress bars.
+    """
+
+    folder: Path
+    clock: Clock
+    seed: int
+    progress: bool
+
+    @classmethod
+    def at(cls, folder: Path, is_quick: bool, seed: int, progress: bool) -> Keeping:
+        """Return that of this size and seed in a folder of all sizes and seeds."""
+        place = folder / f"{'quick' if is_quick else 'full'}.seed{seed}"
+        place.mkdir(parents=True, exist_ok=True)
+        return cls(place, Clock(place / "seconds.json"), seed, progress)

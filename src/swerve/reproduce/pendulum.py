@@ -24,8 +24,9 @@ import numpy as np
 
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
-from swerve.reproduce.clock import Clock, work_folder
-from swerve.reproduce.made import Making, kept_optima, read_folder
+from swerve.demonstrators.optimal_control import Settings
+from swerve.reproduce.keeping import Keeping
+from swerve.reproduce.made import kept_optima, read_folder
 from swerve.reproduce.ranks import NOISE, Curve, Judged, curve
 from swerve.reproduce.ways import (
     DISCRETE,
@@ -40,13 +41,12 @@ from swerve.reproduce.ways import (
     infer_from,
 )
 from swerve.systems.pendulum import pendulum
-from swerve.work import Work
 
 CONSTRAINTS = {"C1": 55, "C2": 85}
 REAL = "real"  # name of the demonstrations of a folder
 NUM_CELLS = 100
 REAL_TRUTH = CONSTRAINTS["C1"]
-GOAL_TOLERANCE = 0.05  # rad and rad/s together
+SOUGHT = Settings(limits=(-np.inf, np.inf), goal_tolerance=0.05)  # rad and rad/s together
 LEAST_SURVIVAL = 1e-4  # one trajectory of 10,000
 FOLLOWED = (55, 17, 87, 7)  # cells whose nats are told, the four of METHOD
 
@@ -151,30 +151,25 @@ def reproduce(
       ValueError: if a file cannot be understood, or the demonstrations enter cell 55.
     """
     scale = QUICK if is_quick else FULL
-    folder = work_folder(folder, is_quick, seed)
-    clock = Clock(folder / "seconds.json")
+    keeping = Keeping.at(folder, is_quick, seed, progress)
     problem, num = pendulum(between_states=False), scale.num_demonstrations
-    how = Making((-np.inf, np.inf), GOAL_TOLERANCE, seed, progress, clock)
     theirs = None if data is None else _read(data, num if is_quick else None)
     exact = {} if data is None or theirs is None else _exact_violation(data, scale, theirs)
     sources = [
-        Source(name, kept_optima(folder / name, problem, truth, num, how), truth)
+        Source(name, kept_optima(keeping, name, problem, truth, num, SOUGHT), truth)
         for name, truth in CONSTRAINTS.items()
     ]
     sources += [] if theirs is None else [theirs]
     answers = []
     for max_torque in scale.max_torques:
         for way in scale.ways:
-            place = folder / f"torque_{max_torque:g}"
-            asked = way.settings(scale.num_trajectories, seed)
-            work = Work(model(max_torque), place, asked, progress=progress)
-            label = f"torque {max_torque:g}: {way.label}"
-            answers += infer_from(work, way, label, sources, clock, seed)
+            place, num = f"torque_{max_torque:g}", scale.num_trajectories
+            answers += infer_from(keeping, place, model(max_torque), way, num, sources)
     answers = best_tables(answers)
     compared = [
         _exact(max_torque, violation, answers, seed) for max_torque, violation in exact.items()
     ]
-    return Result(scale, sources, answers, compared, clock.seconds)
+    return Result(scale, sources, answers, compared, keeping.clock.seconds)
 
 
 def model(max_torque: float) -> str:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from swerve.reproduce import files
-from swerve.reproduce.files import markdown
+from swerve.reproduce.files import Part, markdown, time_table
 from swerve.reproduce.pendulum import FOLLOWED, REAL, Exact, Result, model
 from swerve.reproduce.rank_figures import (
     EXACT,
@@ -18,7 +15,6 @@ from swerve.reproduce.rank_figures import (
     rank_rows,
     rank_table,
     rank_text,
-    time_table,
     way_name,
 )
 from swerve.reproduce.ways import DISCRETE, Answer, answers_of
@@ -30,27 +26,26 @@ TITLES = {
 }
 
 
-def write(result: Result, folder: Path) -> list[Path]:
-    """Write the figures as PNG and SVG, the numbers in them as CSV, tables as Markdown.
-
-    Returns:
-      The files, in a folder that is created if need be.
-
-    Raises:
-      OSError: if one cannot be written; files are replaced when complete.
-    """
+def parts(result: Result) -> list[Part]:
+    """Return the figures."""
     shown = panels(result)
-    parts = []
-    for max_torque in result.scale.max_torques:
-        some = [one for one in shown if one.source != REAL and one.model == model(max_torque)]
-        parts.append((f"pendulum_rank_torque{max_torque:g}", draw_ranks(some), rank_rows(some)))
-    real = [panel for panel in shown if panel.source == REAL]
-    if real:
-        parts.append(("pendulum_rank_real", draw_ranks(real), rank_rows(real)))
-    tables = {"pendulum_ranks": rank_table(shown), "pendulum_times": time_table(result.seconds)}
-    if result.exact:
-        tables["pendulum_nats"] = _nats_table(result)
-    return files.write(folder, parts, tables)
+    groups = {
+        f"pendulum_rank_torque{max_torque:g}": [
+            one for one in shown if one.source != REAL and one.model == model(max_torque)
+        ]
+        for max_torque in result.scale.max_torques
+    }
+    groups["pendulum_rank_real"] = [one for one in shown if one.source == REAL]
+    return [Part(name, draw_ranks(some), rank_rows(some)) for name, some in groups.items() if some]
+
+
+def tables(result: Result) -> dict[str, str]:
+    """Return tables as Markdown."""
+    found = {
+        "pendulum_ranks": rank_table(panels(result)),
+        "pendulum_times": time_table(result.seconds),
+    }
+    return found | ({"pendulum_nats": _nats_table(result)} if result.exact else {})
 
 
 def panels(result: Result) -> list[Panel]:
@@ -67,7 +62,7 @@ def panels(result: Result) -> list[Panel]:
     return found
 
 
-def table(result: Result) -> str:
+def text(result: Result) -> str:
     """Return what the terminal shows."""
     return rank_text(panels(result))
 
@@ -87,7 +82,9 @@ def _nats_table(result: Result) -> str:
 
 def _nats_row(answer: Answer, exact: Exact) -> list[str]:
     """Return a row: nats of all demonstrations, errors of violation probabilities."""
-    found, error = answer.result, np.abs(answer.violation - exact.violation).max(axis=1)
+    found = answer.result
+    violation = found.evidence.violation_probability[found.task_of]
+    error = np.abs(violation - exact.violation).max(axis=1)
     nats = []
     for cell in FOLLOWED:
         spread = "" if answer.way.name == DISCRETE else f" ± {found.standard_error[cell]:.2f}"

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from swerve.figures import FAINT, INK, open_sides
 from swerve.reproduce.files import SIZE, SMALL, column, markdown
@@ -107,13 +108,20 @@ def draw_ranks(panels: Sequence[Panel]) -> Figure:
 
 def _scales(axes: Axes, most: int) -> None:
     """Give both axes plain numbers on a logarithmic scale."""
-    axes.set(xscale="log", yscale="log", ylim=(0.9, 60.0), xlim=(0.9, 1.1 * most))
+    size_scale(axes, most)
+    axes.set(yscale="log", ylim=(0.9, 60.0))
     axes.set_ylabel("average rank of the truth", fontsize=SIZE)
-    sizes = [size for size in (1, 2, 5, 10, 20, 50) if size <= most]
-    axes.set_xticks(sizes, labels=[str(size) for size in sizes])
     ranks = (1, 2, 5, 10, 20, 50)
     axes.set_yticks(ranks, labels=[str(rank) for rank in ranks])
-    axes.minorticks_off()
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def size_scale(axes: Axes, most: int) -> None:
+    """Give an axis of numbers of demonstrations plain numbers on a logarithmic scale."""
+    axes.set(xscale="log", xlim=(0.9, 1.1 * most))
+    sizes = [size for size in (1, 2, 5, 10, 20, 50) if size <= most]
+    axes.set_xticks(sizes, labels=[str(size) for size in sizes])
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.grid(axis="y", color=FAINT, alpha=0.25, lw=0.5)
     open_sides(axes, SMALL)
 
@@ -137,12 +145,6 @@ def _cell(curve: Curve, size: int) -> str:
     place = curve.sizes.index(size)
     low, high = (ends[place] for ends in curve.interval)
     return f"{curve.rank[place]:.1f} ({low:.1f} to {high:.1f})"
-
-
-def time_table(seconds: dict[str, float]) -> str:
-    """Return how long what took as Markdown."""
-    rows = [[name, f"{value:.0f} s"] for name, value in seconds.items()]
-    return markdown(["what", "wall time"], rows)
 
 
 def rank_text(panels: Sequence[Panel]) -> str:

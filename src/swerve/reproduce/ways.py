@@ -1,18 +1,13 @@
-"""Ways to infer, each asked of the same demonstrations.
-
-Shapes: D demonstrations, H hypotheses.
-"""
+"""Ways to infer, each asked of the same demonstrations."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from swerve.demonstrations import Demonstration
 from swerve.inference import Inference, infer
-from swerve.reproduce.clock import Clock
+from swerve.reproduce.keeping import Keeping
 from swerve.reproduce.ranks import Curve, curve, judged
 from swerve.settings import Settings
 from swerve.solvers.tabular import TableNominal
@@ -72,7 +67,8 @@ class Answer(NamedTuple):
       way: to infer.
       curve: rank of the truth.
       result: of all demonstrations together.
-      violation: [D, H] probability of entering each cell in the task of each.
+      learn_seconds: wall time before any demonstration.
+      task_seconds: wall time for the task of each demonstration, on average.
     """
 
     source: str
@@ -80,36 +76,47 @@ class Answer(NamedTuple):
     way: Way
     curve: Curve
     result: Inference
-    violation: np.ndarray
+    learn_seconds: float
+    task_seconds: float
 
 
 def infer_from(
-    work: Work, way: Way, label: str, sources: Sequence[Source], clock: Clock, seed: int
+    keeping: Keeping,
+    place: str,
+    model: str,
+    way: Way,
+    num_trajectories: int,
+    sources: Sequence[Source],
 ) -> list[Answer]:
     """Return what one way says of several sets of demonstrations.
 
     Args:
-      work: the model, with the settings of the way.
+      keeping: where the folder of the model is.
+      place: name of that folder, by which times are called too.
+      model: the problem, as the command line names it.
       way: to infer.
-      label: what its times are called.
+      num_trajectories: of each task.
       sources: the sets.
-      clock: of what takes long.
-      seed: of subsets.
     """
-    with clock.timing(f"{label}, learn"):
+    asked = way.settings(num_trajectories, keeping.seed)
+    work = Work(model, keeping.folder / place, asked, progress=keeping.progress)
+    clock, label = keeping.clock, f"{place.replace('_', ' ')}: {way.label}"
+    learn = f"{label}, learn"
+    with clock.timing(learn):
         nominal = work.nominal()
     found = []
     for source in sources:
         moved = source.demonstrations
         if isinstance(nominal, TableNominal):  # to the centres of its cells, as its authors do
             moved = [nominal.snapped(one) for one in moved]
-        with clock.timing(f"{label}, sample {source.name}"):
+        draw = f"{label}, sample {source.name}"
+        with clock.timing(draw):
             evidence = work.evidence(Task.stack([one.task for one in moved]))
         result = infer(evidence, moved, score=way.score)
         sizes = [size for size in SIZES if size <= len(moved)]
-        drawn = curve(judged(result), source.truth, sizes, seed=seed)
-        violation = evidence.violation_probability[result.task_of]
-        found.append(Answer(source.name, work.problem_text, way, drawn, result, violation))
+        drawn = curve(judged(result), source.truth, sizes, seed=keeping.seed)
+        seconds = clock.seconds[learn], clock.seconds[draw] / len(moved)
+        found.append(Answer(source.name, model, way, drawn, result, *seconds))
     return found
 
 
@@ -123,15 +130,9 @@ def best_tables(answers: list[Answer]) -> list[Answer]:
     return list(best.values())
 
 
-def answers_of(
-    answers: Sequence[Answer], source: str, model: str, way: str | None = None
-) -> list[Answer]:
-    """Return the answers about some demonstrations by one model, in one way or all."""
-    return [
-        one
-        for one in answers
-        if one.source == source and one.model == model and way in (None, one.way.name)
-    ]
+def answers_of(answers: Sequence[Answer], source: str, model: str) -> list[Answer]:
+    """Return the answers about some demonstrations by one model."""
+    return [one for one in answers if one.source == source and one.model == model]
 
 
 def _average(answer: Answer) -> float:
