@@ -1,20 +1,18 @@
 """Put the tables that `swerve reproduce` wrote into the pages that show them.
 
-    python experiments/refresh.py [--check]
+    python experiments/refresh.py
 
 A page shows a table between two comments,
 
     <!-- from docs/results/NAME/TABLE.md -->
     <!-- end -->
 
-and what stands between them is replaced by the file. With --check nothing is written; the pages
-that are out of date are named, and the exit status is 1 if there are any.
+and what stands between them is replaced by the file. The pages that were out of date are named.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,13 +30,12 @@ def refreshed(page: str) -> str:
 
 
 def main() -> None:
-    """Refresh all pages, or name those that are out of date."""
-    old = [path for path in pages() if refreshed(path.read_text()) != path.read_text()]
-    for path in old:
-        print(path.relative_to(ROOT))
-        if "--check" not in sys.argv:
-            path.write_text(refreshed(path.read_text()))
-    sys.exit("--check" in sys.argv and bool(old))
+    """Refresh all pages."""
+    for path in pages():
+        page = path.read_text()
+        if refreshed(page) != page:
+            print(path.relative_to(ROOT))
+            path.write_text(refreshed(page))
 
 
 if __name__ == "__main__":
