@@ -19,7 +19,7 @@ from swerve.reproduce.ways import DISCRETE, GRID, SOFT_VALUE, Way, best_tables
 from swerve.systems.pendulum import pendulum as make_pendulum
 
 TABLES = tuple(Way(DISCRETE, f"discrete?num_cells={cells}&hold=10", None) for cells in (12, 20))
-SMALL = pendulum.Scale((10.0,), 3, 200, (Way(GRID, "grid?num_points=41", "smc"), *TABLES))
+SMALL = pendulum.Scale({10.0: (Way(GRID, "grid?num_points=41", "smc"), *TABLES)}, 3, 200)
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def test_exact_files_give_the_nats_of_the_method(shared_data: Path) -> None:
     """METHOD, section 5: 13.4, 4.7, 4.3 and 3.1 nats, by all 33 demonstrations."""
     folder = shared_data / "pendulum"
     theirs = pendulum._read(folder, None)
-    scale = pendulum.FULL._replace(max_torques=(10.0,))
+    scale = pendulum.FULL._replace(ways={10.0: ()})
     violation = pendulum._exact_violation(folder, scale, theirs)[10.0]
     problem = make_pendulum(between_states=False)
     bits = [
@@ -120,7 +120,7 @@ def test_exact_files_give_the_nats_of_the_method(shared_data: Path) -> None:
     answer = SimpleNamespace(
         source="real",
         model=pendulum.model(10.0),
-        way=SMALL.ways[0],
+        way=SMALL.ways[10.0][0],
         result=SimpleNamespace(entered=entered),
         curve=SimpleNamespace(sizes=[1, 10, 30]),
     )
@@ -152,7 +152,9 @@ def test_exact_files_are_checked(theirs: Path) -> None:
 def test_another_seed_makes_others_and_another_number_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pendulum, "QUICK", SMALL._replace(ways=TABLES[:1], num_demonstrations=1))
+    monkeypatch.setattr(
+        pendulum, "QUICK", SMALL._replace(ways={10.0: TABLES[:1]}, num_demonstrations=1)
+    )
     first, second = (pendulum.reproduce(tmp_path, is_quick=True, seed=seed) for seed in (0, 1))
     starts = [one.sources[0].demonstrations[0].states[0] for one in (first, second)]
     assert not np.allclose(*starts)

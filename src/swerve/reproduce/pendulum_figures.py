@@ -33,7 +33,7 @@ def parts(result: Result) -> list[Part]:
         f"pendulum_rank_torque{max_torque:g}": [
             one for one in shown if one.source != REAL and one.model == model(max_torque)
         ]
-        for max_torque in result.scale.max_torques
+        for max_torque in result.scale.ways
     }
     groups["pendulum_rank_real"] = [one for one in shown if one.source == REAL]
     return [Part(name, draw_ranks(some), rank_rows(some)) for name, some in groups.items() if some]
@@ -51,7 +51,7 @@ def tables(result: Result) -> dict[str, str]:
 def panels(result: Result) -> list[Panel]:
     """Return what is to be shown, for each model and set of demonstrations."""
     found = []
-    for max_torque in result.scale.max_torques:
+    for max_torque in result.scale.ways:
         for source in result.sources:
             lines = lines_of(answers_of(result.answers, source.name, model(max_torque)))
             if source.name == REAL:
