@@ -31,12 +31,46 @@ SPACE = StateSpace(("theta", "x"), ("theta",), np.array([[0.0, TWO_PI], [-2.0, 2
 
 
 def test_centres_are_in_their_cells() -> None:
-    cells = Cells(SPACE, (7, 4))
+    cells = Cells(SPACE, (7, 4), (np.array([0.0, -2.0]), np.array([TWO_PI, 2.0])))
     np.testing.assert_array_equal(cells.number(cells.centres), np.arange(28))
     turned = cells.centres + np.array([4 * np.pi, 0.0])
     np.testing.assert_array_equal(cells.number(turned), np.arange(28))
     beyond = np.array([[0.1, -9.0], [0.1, 9.0]])
     np.testing.assert_array_equal(cells.number(beyond), [0, 3])
+
+
+def test_cells_of_a_part() -> None:
+    """Of an angle as well, which has ends then: what lies beyond counts as the nearer one."""
+    cells = Cells(SPACE, (6, 4), (np.array([-1.5, -1.0]), np.array([1.5, 1.0])))
+    np.testing.assert_allclose(cells.centres[[0, -1]], [[-1.25, -0.75], [1.25, 0.75]])
+    np.testing.assert_array_equal(cells.number(cells.centres), np.arange(24))
+    np.testing.assert_array_equal(
+        cells.number(cells.centres + np.array([TWO_PI, 0.0])), np.arange(24)
+    )
+    beyond = np.array([[2.9, 0.1], [TWO_PI - 2.9, 0.1], [0.1, 9.0]])
+    np.testing.assert_array_equal(cells.number(beyond), [22, 2, 15])
+
+
+def test_the_whole_is_a_part_of_itself() -> None:
+    problem, task = short_cart(), CART_TASK
+    low, high = (tuple(ends) for ends in problem.mdp.space.bounds.T.tolist())
+    whole = sample(learn(problem, "discrete?num_cells=8&hold=1"), task)
+    text = ",".join(map(str, low)), ",".join(map(str, high))
+    part = sample(learn(problem, f"discrete?num_cells=8&hold=1&low={text[0]}&high={text[1]}"), task)
+    np.testing.assert_array_equal(whole.log_ratio, part.log_ratio)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"low": (0.0,)}, "low, high: expected where the grid begins and ends for each"),
+        ({"low": (3.0, 2.0), "high": (1.0, 3.0)}, "low, high: expected where"),
+        ({"low": (0.0, -1.0), "high": (6.5, 1.0)}, "at most a full turn"),
+    ],
+)
+def test_ends_that_are_none(settings: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        learn(short_pendulum(), Discrete(num_cells=8, **settings))
 
 
 @pytest.mark.parametrize(

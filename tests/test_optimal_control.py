@@ -286,12 +286,12 @@ class TestRefusals:
         doomed = Task(np.array([-1.5, 0.0, 2.0, 0.0]), ACROSS.goal)
         back = Task(np.array([-1.5, 0.0, 0.0, 0.0]), np.array([-2.0, 0.0, 0.0, 0.0]))
         tasks = Task.stack([doomed, back, doomed])
-        settings = module.Settings(num_guesses=2)
-        (found,) = module.first_optima(PUCK, trap, tasks, 1, settings)
+        search = module.Search(num_guesses=2)
+        (found,) = module.first_optima(PUCK, trap, tasks, 1, search)
         assert found.demonstration.task.goal.tolist() == back.goal.tolist()
         assert found.demonstration.name == "demo_000"
         with pytest.raises(module.NoPathError, match="only 1 of 3 tasks can be done, 2 were"):
-            module.first_optima(PUCK, trap, tasks, 2, settings)
+            module.first_optima(PUCK, trap, tasks, 2, search)
 
     @pytest.mark.parametrize(
         ("settings", "message"),

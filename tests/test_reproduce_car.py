@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import math
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command import Run
 
-from swerve import Box, Car, infer
+from swerve import Box, Car, Evidence, Inference, Nominal, infer
 from swerve.demonstrators.driver import drives
 from swerve.exact import Drawn, ExactAnswer, exact_evidence
 from swerve.reproduce import car, car_figures
@@ -88,12 +90,19 @@ def test_what_one_drive_says_and_seven_say() -> None:
     assert car._seven_share(evidence, made, truth(14), 0) > 0.9
 
 
+def resolved(nominal: Nominal, inference: Inference, *, keep: Callable, **how: object) -> Evidence:
+    """Keep the evidence as it is."""
+    keep(inference.evidence)
+    return inference.evidence
+
+
 def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a network that has hardly learned, beta as it may be and nothing resolved."""
     fit = BetaFit(0.45, (0.4, 0.5), 0.01, (0.3, 0.6), 0.95)
     monkeypatch.setattr(car, "QUICK", SMALL)
     monkeypatch.setattr(car, "fit_beta", lambda *arguments: fit)
-    monkeypatch.setattr(car, "resolve", lambda nominal, inference, **settings: inference.evidence)
+    monkeypatch.setattr(car, "resolve", resolved)
+    monkeypatch.setattr(Inference, "is_open", np.ones((1, 14), bool))
     command = ("reproduce", "car", "--quick", "--out", tmp_path / "out")
     status, printed, said = run(*command)
     assert status == 0, said
@@ -113,6 +122,11 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
         belief = {row["region"]: float(row["posterior_of_seven"]) for row in csv.DictReader(file)}
     assert sum(belief.values()) == pytest.approx(1.0, abs=1e-3)
     first = (tmp_path / "out" / "car_track.csv").read_bytes()
+    kept = tmp_path / "out" / "work" / "quick.seed0"
+    assert {path.name for path in kept.iterdir()} == {
+        *("made_by.json", "seconds.json", "first.nominal", "first.evidence", "fitted.nominal"),
+        *("fitted.evidence", "resolved.evidence", "foresight", "paper.evidence"),
+    }
 
     def refuse(*arguments: object, **settings: object) -> None:
         raise AssertionError("was done before")
@@ -121,6 +135,9 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
         monkeypatch.setattr(car, name, refuse)
     assert run(*command)[0] == 0
     assert (tmp_path / "out" / "car_track.csv").read_bytes() == first
+    shutil.copy(kept / "paper.evidence", kept / "resolved.evidence")  # of another beta
+    status, _, said = run(*command)
+    assert (status, "remove it" in said) == (1, True), said
 
 
 def test_drives_that_tell_no_beta(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

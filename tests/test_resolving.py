@@ -271,8 +271,14 @@ def test_who_has_to_enter_lies_a_hundred_nats_below_the_worst() -> None:
     worst = least_value(nominal.policy, 0)
     adapted = next(iter(TRAINED.adapted(nominal, narrower, 0))).policy
     assert isinstance(adapted, SoftValuePolicy)
-    floor = min(worst - 100.0, -100.0)
+    assert worst < 0.0
+    floor = worst - 100.0
     assert adapted.settings.floor == pytest.approx(floor)
+    again = dataclasses.replace(narrower, known=[trap, Box(x=(-9.0, -1.6))])
+    nominal = dataclasses.replace(nominal, problem=narrower, policy=adapted)
+    further = next(iter(TRAINED.adapted(nominal, again, 0))).policy
+    assert isinstance(further, SoftValuePolicy)
+    assert further.settings.floor == adapted.settings.floor
     goal = jnp.asarray(CART_TASK.goal, jnp.float32)
     doomed, free = (
         float(adapted.value(jnp.array(state), jnp.array(1), goal))

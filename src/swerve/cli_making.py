@@ -110,14 +110,14 @@ def _optimal(
     seed: int,
 ) -> list[Demonstration]:
     """Return demonstrations by optimal control, and print what was found."""
-    from swerve.demonstrators.optimal_control import SPARE, Settings, first_optima, optimal_control
+    from swerve.demonstrators.optimal_control import SPARE, Search, first_optima, optimal_control
     from swerve.tasks import draw_tasks
 
     how = {"seed": seed, "progress": True}
     if tasks is None:
         num = len(names)
         drawn = draw_tasks(problem, SPARE * num, avoid=[forbidden], seed=seed)
-        optima = first_optima(problem, forbidden, drawn, num, Settings(**sought), **how)
+        optima = first_optima(problem, forbidden, drawn, num, Search(**sought), **how)
     else:
         optima = optimal_control(problem, forbidden, tasks, names=names, **sought, **how)
     _say_of_optima(optima)

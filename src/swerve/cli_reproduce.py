@@ -33,10 +33,10 @@ def reproduce(
     'control'.
 
     car: which region of the track human-like drivers avoid, by single drives and while they last
-    (figure 4); half an hour.
+    (figure 4); a quarter of an hour.
 
     double-pendulum: the same as for the pendulum in four dimensions, by networks and by tables of
-    cells (Stocking et al., 2021); some 40 minutes. Needs the extra 'control'.
+    cells (Stocking et al., 2021); some ten minutes. Needs the extra 'control'.
 
     gridworld: false positives and KL divergence against the number of demonstrations (Scobee and
     Sastry, 2019), and what someone under no constraint enters; one to two minutes.
@@ -46,7 +46,8 @@ def reproduce(
     [m], and room.png, in which free floor is light; room.json tells where the picture lies,
     {"corner": [x, y], "cell": side of a pixel} [m], unless that is [-11, -10] and 0.01.
 
-    What takes long is kept in a folder 'work' in --out: the same command goes on from there.
+    What the first three take long for is kept in a folder 'work' in --out: the same command goes on
+    from there.
 
     Args:
       name: The result.

@@ -356,6 +356,10 @@ def _ints(value: str) -> tuple[int, ...]:
     return tuple(_int(part) for part in value.split(","))
 
 
+def _floats(value: str) -> tuple[float, ...]:
+    return tuple(float(part) for part in value.split(","))
+
+
 def _bool(value: str) -> bool:
     if value.lower() not in ("true", "false"):
         raise ValueError
@@ -374,6 +378,7 @@ def _int(value: str) -> int:
 
 _CONVERSIONS: dict[Any, Callable[[str], Any]] = {
     tuple[int, ...]: _ints,
+    tuple[float, ...]: _floats,
     bool: _bool,
     int: _int,
     float: float,

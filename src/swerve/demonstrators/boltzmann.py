@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +31,7 @@ from swerve.progress import progress_bar
 from swerve.resolving import AdaptingSolver
 from swerve.samples import ADAPTING_SOLVERS, NUM_ISLANDS, log_weights
 from swerve.smc import smc_rollout
-from swerve.solvers.tabular import TableNominal
+from swerve.solvers.tabular import Table, TableNominal
 from swerve.space import Task
 from swerve.systems.tabular import TabularMDP
 from swerve.tasks import named_tasks
@@ -41,6 +42,7 @@ NUM_CANDIDATES = 512
 ENOUGH = 0.5  # of the candidates: where fewer are effective, particles are resampled instead
 NUM_PARTICLES = 100  # of an island
 LEAST_ESS = 50.0
+Draw = Callable[[Task, jax.Array, str], Demonstration | None]
 STREAM = zlib.crc32(b"demonstrations")  # a seed that tasks were drawn with gives other numbers here
 
 
@@ -141,30 +143,31 @@ def _drawn(
 ) -> Iterator[tuple[int, Demonstration]]:
     """Yield demonstrations, as far as they can be drawn, of tasks that have none yet."""
     left = np.array([k for k in range(len(labels)) if k not in found])
-    if isinstance(source, TableNominal):
-        for k in left.tolist():
-            key = jax.random.fold_in(stream, k)
-            task = Task(batch.start[k], batch.goal[k])
-            made = _from_table(source, task, key, labels[k])
-            if made is not None:
-                yield k, made
-        return
-    assert isinstance(source, PolicyNominal)
     goals, goal_of_task = np.unique(batch.goal[left], axis=0, return_inverse=True)
-    for goal, policy in enumerate(source.policies(goals)):
+    for goal, draw in enumerate(_draws(source, goals)):
         for k in left[goal_of_task.reshape(-1) == goal].tolist():
-            key = jax.random.fold_in(stream, k)
             task = Task(batch.start[k], batch.goal[k])
-            made = _from_policy(source.problem, policy, task, key, labels[k])
+            made = draw(task, jax.random.fold_in(stream, k), labels[k])
             if made is not None:
                 yield k, made
+
+
+def _draws(source: Nominal, goals: np.ndarray) -> Iterator[Draw]:
+    """Yield for each goal what draws a demonstration of a task that has it."""
+    if isinstance(source, TableNominal):
+        for goal in goals:
+            yield partial(_from_table, source, source.goal_table(goal))
+    else:
+        assert isinstance(source, PolicyNominal)
+        for policy in source.policies(goals):
+            yield partial(_from_policy, source.problem, policy)
 
 
 def _from_table(
-    source: TableNominal, task: Task, key: jax.Array, name: str
+    source: TableNominal, table: Table, task: Task, key: jax.Array, name: str
 ) -> Demonstration | None:
     """Draw one trajectory of pi_c itself; None where nothing avoids c."""
-    start, table = source.start(task), source.goal_table(task.goal, ())
+    start = source.start(task)
     if not np.isfinite(table.values[0, start]):
         return None
     generator = np.random.default_rng(np.asarray(jax.random.key_data(key)))

@@ -38,7 +38,7 @@ CREEP = 0.3  # m/s, of who has to brake hard
 TIGHT = 0.8  # s to the obstacle: who is not clear of it by then brakes hard
 START = (0.0, 0.0, 0.0, 1.0)  # m, m, rad, m/s: in the lane, along it
 FAST = 1.2  # times the speed past the obstacle: who is faster brakes before steering
-LAST = 1.3  # m to the obstacle, where everybody steers
+LAST = 1.3  # m to the obstacle, below which nobody is too fast to steer
 MOST_TRIES = 50  # drives that may hit the obstacle before it counts as one that nobody passes
 LEAST_PREVIEW = 0.25  # m: nobody looks closer than this
 

@@ -195,7 +195,7 @@ def _convex(
     if isinstance(part, HalfSpace):
         row = ({name: -value for name, value in part.normal.items()}, -part.offset)
         return [_sides([row], names, unit)]
-    if isinstance(part, Polygon):
+    if isinstance(part, Polygon) and part.depth == 0.0:
         corners = triangles(part.vertices)
         return [_sides(_edge_rows(three, part.names), names, unit) for three in corners]
     if isinstance(part, Ball):
@@ -203,8 +203,8 @@ def _convex(
         centre, identity = np.array(list(part.centre.values())), np.eye(len(columns))
         return [Obstacle(columns, identity, centre, part.radius, _angles(part, space))]
     raise ValueError(
-        f"{part.name}: expected a constraint with sides, such as Box, Ball, HalfSpace or Polygon, "
-        f"to lead a path around, got {type(part).__name__}"
+        f"{part.name}: expected a constraint with sides, such as Box, Ball, HalfSpace or Polygon "
+        f"without a depth, to lead a path around, got {type(part).__name__}"
     )
 
 

@@ -57,7 +57,8 @@ class Optimum:
     Attributes:
       demonstration: the best path that was found, with its actions.
       reward: its reward.
-      rewards: those of all local optima that were found, the best first.
+      rewards: those of all local optima that were found and reach the goal, the best first. Guesses
+        that are no better with nothing in the way are not followed, so there may be more.
       num_guesses: from how many guesses.
       endings: how often the solver ended how, in its own words.
     """
@@ -69,7 +70,7 @@ class Optimum:
     endings: dict[str, int]
 
 
-class Settings(NamedTuple):
+class Search(NamedTuple):
     """What is looked for; see `optimal_control`."""
 
     limits: tuple[float, float] | None = None
@@ -95,8 +96,8 @@ def optimal_control(
 
     Args:
       problem: the model; its hypotheses do not matter.
-      constraint: c, what to keep out of, made of boxes, balls, half-spaces and polygons. What the
-        problem knows already is kept out of as well.
+      constraint: c, what to keep out of, made of boxes, balls, half-spaces and polygons, or of
+        actions (`ActionBox`, `StateAction`). What the problem knows is kept out of as well.
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
       names: what to call the demonstrations; demo_000 and so on if None.
       limits: least and largest action, infinite where there is none; those of the discretised
@@ -120,8 +121,8 @@ def optimal_control(
     """
     seed = whole_number(seed, "seed", 0)
     batch, labels = named_tasks(problem, constraint, tasks, names)
-    settings = Settings(limits, num_steps, num_guesses, goal_tolerance)
-    planner = _Planner(problem, constraint, settings)
+    search = Search(limits, num_steps, num_guesses, goal_tolerance)
+    planner = _Planner(problem, constraint, search)
     found = []
     with progress_bar("demonstrating", len(labels), progress) as advance:
         for k, (label, *task) in enumerate(zip(labels, *batch, strict=True)):
@@ -135,7 +136,7 @@ def first_optima(
     constraint: Constraint,
     tasks: Task,
     num: int,
-    settings: Settings,
+    search: Search,
     *,
     seed: int = 0,
     progress: bool = False,
@@ -147,7 +148,7 @@ def first_optima(
       constraint: what to keep out of.
       tasks: [K] of which some may be impossible.
       num: how many; their names are demo_000 and so on.
-      settings: what is looked for.
+      search: what is looked for.
       seed: of the guesses.
       progress: whether to show a progress bar.
 
@@ -155,23 +156,23 @@ def first_optima(
       NoPathError: if there are not so many.
     """
     batch, _ = named_tasks(problem, constraint, tasks, None)
-    planner = _Planner(problem, constraint, settings)
+    planner = _Planner(problem, constraint, search)
     found: list[Optimum] = []
-    reason = None
+    reason = "all of them could"
     with progress_bar("demonstrating", num, progress) as advance:
         for k, task in enumerate(zip(*batch, strict=True)):
             label, generator = f"demo_{len(found):03d}", np.random.default_rng([seed, k])
             try:
                 found.append(planner.plan(Task(*task), label, generator))
             except NoPathError as error:
-                reason = error
+                reason = str(error)
                 continue
             advance(1)
             if len(found) == num:
                 return found
     raise NoPathError(
-        f"only {len(found)} of {len(batch.start)} tasks can be done, {num} were asked for; of "
-        f"another: {reason}"
+        f"only {len(found)} of {len(batch.start)} tasks can be done, {num} were asked for; the "
+        f"last that could not: {reason}"
     )
 
 
@@ -192,13 +193,13 @@ def _checked_limits(limits: tuple[float, float] | None, problem: Problem) -> np.
 class _Planner:
     """What is the same for all tasks."""
 
-    def __init__(self, problem: Problem, constraint: Constraint, settings: Settings) -> None:
+    def __init__(self, problem: Problem, constraint: Constraint, search: Search) -> None:
         mdp, names = problem.mdp, tuple(problem.mdp.action_names)
-        num_steps = mdp.num_steps if settings.num_steps is None else settings.num_steps
+        num_steps = mdp.num_steps if search.num_steps is None else search.num_steps
         self._num_steps = whole_number(num_steps, "num_steps", 1)
-        self._num_guesses = whole_number(settings.num_guesses, "num_guesses", 1)
-        self._goal_tolerance = positive_number(settings.goal_tolerance, "goal_tolerance")
-        self._mdp, self._limits = mdp, _checked_limits(settings.limits, problem)
+        self._num_guesses = whole_number(search.num_guesses, "num_guesses", 1)
+        self._goal_tolerance = positive_number(search.goal_tolerance, "goal_tolerance")
+        self._mdp, self._limits = mdp, _checked_limits(search.limits, problem)
         self._avoided = (constraint, *problem.known)
         spread = np.ptp(np.asarray(mdp.actions), axis=0)
         unit = np.concatenate([mdp.space.extent, np.where(spread > 0.0, spread, 1.0)])
@@ -232,18 +233,21 @@ class _Planner:
                 f"{where} no path was found that keeps out of {avoided}, from {self._num_guesses} "
                 f"guesses ({tried}): {self._remedy(endings)}"
             )
-        best = max(found, key=lambda solution: solution.reward)
-        missed = self._missed(task, best.path)
-        if missed > self._goal_tolerance:
+        missed = [self._missed(task, solution.path) for solution in found]
+        near = [
+            one for one, miss in zip(found, missed, strict=True) if miss <= self._goal_tolerance
+        ]
+        if not near:
             raise NoPathError(
-                f"{where} the best path that was found ends {missed:.3g} from the goal, more than "
+                f"{where} the nearest path that was found ends {min(missed):.3g} off, more than "
                 f"goal_tolerance = {self._goal_tolerance:g} ({tried}): choose another task, wider "
                 "limits of actions or a larger goal_tolerance"
             )
+        best = max(near, key=lambda solution: solution.reward)
         times = np.arange(self._num_steps + 1) * self._mdp.dt
         states, actions = best.path
         demonstration = Demonstration(name, states, task, times=times, actions=actions)
-        rewards = tuple(_distinct(sorted((solution.reward for solution in found), reverse=True)))
+        rewards = tuple(_distinct(sorted((solution.reward for solution in near), reverse=True)))
         return Optimum(demonstration, best.reward, rewards, self._num_guesses, dict(endings))
 
     def _guesses(self, task: Task, generator: np.random.Generator) -> Iterator[Path]:
@@ -279,7 +283,7 @@ class _Planner:
             yield free
             return
         if found and free.reward <= max(solution.reward for solution in found):
-            return  # what is no better with nothing in the way is none with something in it
+            return  # going around seldom makes it better than with nothing in the way
         for obstacle in self._near(free.path):
             for guess in obstacle.pushed(free.path):
                 yield self._around(task, guess)

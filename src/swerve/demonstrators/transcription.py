@@ -85,7 +85,7 @@ class Transcription:
         solver, limits = self._solver(obstacles)
         (n, m, _), num_steps = self._sizes, self._num_steps
         weights = [obstacle.weights(guess) for obstacle in obstacles]
-        first = [guess.states, guess.actions, *weights]
+        first = [guess.states.copy(), guess.actions, *weights]
         low, high = ([np.full_like(part, sign * np.inf) for part in first] for sign in (-1, 1))
         low[0][0] = high[0][0] = first[0][0] = task.start
         low[1][:], high[1][:] = self._limits

@@ -169,10 +169,11 @@ def reproduce(
 
     Raises:
       OSError: if a file cannot be written.
-      ValueError: if beta cannot be told from the drives.
+      ValueError: if beta cannot be told from the drives, or what is kept was made by another
+        version or with other settings.
     """
-    scale = QUICK if is_quick else FULL
-    keeping = Keeping.at(folder, is_quick, seed, progress)
+    name, scale = ("quick", QUICK) if is_quick else ("full", FULL)
+    keeping = Keeping.at(folder, name, scale, seed, progress)
     made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
     free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
     fit, nominal, evidence = _fitted(keeping, scale, free)
@@ -240,11 +241,20 @@ def _evidence(
         with keeping.clock.timing(f"{name}: sample"):
             evidence = sample(nominal, TASK, num, **how)
         evidence.save(path)
-    evidence = Evidence.load(path)
     wanted = nominal.problem if beta is None else dataclasses.replace(nominal.problem, beta=beta)
-    if evidence.problem.fingerprint != wanted.record.fingerprint:
+    return _loaded(path, wanted)
+
+
+def _loaded(path: Path, problem: Problem) -> Evidence:
+    """Return stored evidence of a problem.
+
+    Raises:
+      ValueError: if it is of another.
+    """
+    evidence = Evidence.load(path)
+    if evidence.problem.fingerprint != problem.record.fingerprint:
         raise ValueError(
-            f"{path}: expected evidence of {wanted.record.summary}, got that of "
+            f"{path}: expected evidence of {problem.record.summary}, got that of "
             f"{evidence.problem.summary}: remove it"
         )
     return evidence
@@ -270,7 +280,7 @@ def _resolved(
     """Return evidence with what the single rankings hang on worked out."""
     path = keeping.folder / "resolved.evidence"
     if path.exists():
-        evidence = Evidence.load(path)
+        evidence = _loaded(path, nominal.problem)
     with keeping.clock.timing("resolve"):
         for drive in made:
             inference = infer(evidence, [drive])
@@ -299,7 +309,10 @@ def _foresight(keeping: Keeping, nominal: Nominal, evidence: Evidence, scale: Sc
                 progress=keeping.progress,
             )
         found.save(path)
-    return Foresight.load(path, nominal.problem)
+    foresight = Foresight.load(path, nominal.problem)
+    if foresight.learned_from != evidence.digest:
+        raise ValueError(f"{path}: was learned from other evidence: remove it")
+    return foresight
 
 
 def _single(evidence: Evidence, drive: Demonstration) -> Single:

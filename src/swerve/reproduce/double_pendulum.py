@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from swerve.demonstrators.optimal_control import Settings
+from swerve.demonstrators.optimal_control import Search
 from swerve.reproduce.keeping import Keeping
 from swerve.reproduce.made import kept_optima
 from swerve.reproduce.ways import (
@@ -27,7 +27,7 @@ from swerve.systems.double_pendulum import double_pendulum
 
 TRUTH = 66  # theta_1 and theta_2 in [0.3, 0.6) rad
 NAME = "both angles in [0.3, 0.6) rad"
-SOUGHT = Settings(goal_tolerance=1e3)  # how near is near enough is for the reward to say
+SOUGHT = Search(goal_tolerance=1e3)  # how near is near enough is for the reward to say
 MODEL = "double-pendulum?between_states=false"
 
 
@@ -45,14 +45,17 @@ class Scale(NamedTuple):
     ways: tuple[Way, ...]
 
 
+HYPOTHESISED = "low=-1.5,-1.5,-2,-2&high=1.5,1.5,2,2"  # the part of the states that has hypotheses
+WIDER = "low=-2.1,-2.1,-2,-2&high=2.1,2.1,2,2"
 FULL = Scale(
     30,
     10_000,
     (
         Way(SOFT_VALUE, "soft-value", "smc"),
         Way(DISCRETE, "discrete?num_cells=12&hold=4", None),
-        Way(DISCRETE, "discrete?num_cells=16&hold=4", None),
-        Way(DISCRETE, "discrete?num_cells=20&hold=4", None),
+        Way(DISCRETE, f"discrete?num_cells=14&hold=4&{WIDER}", None),
+        Way(DISCRETE, f"discrete?num_cells=10&hold=10&{HYPOTHESISED}", None),
+        Way(DISCRETE, f"discrete?num_cells=10&hold=4&{HYPOTHESISED}", None),
     ),
 )
 QUICK = Scale(
@@ -60,7 +63,7 @@ QUICK = Scale(
     1_000,
     (
         Way(SOFT_VALUE, "soft-value?num_steps=1500000", "smc"),
-        Way(DISCRETE, "discrete?num_cells=12&hold=4", None),
+        Way(DISCRETE, f"discrete?num_cells=10&hold=4&{HYPOTHESISED}", None),
     ),
 )
 
@@ -95,13 +98,14 @@ def reproduce(
     Raises:
       ImportError: if CasADi is not installed.
       OSError: if a file cannot be written.
+      ValueError: if what is kept was made by another version or with other settings.
     """
-    scale = QUICK if is_quick else FULL
-    keeping = Keeping.at(folder, is_quick, seed, progress)
+    name, scale = ("quick", QUICK) if is_quick else ("full", FULL)
+    keeping = Keeping.at(folder, name, scale, seed, progress)
     problem, num = double_pendulum(between_states=False), scale.num_demonstrations
     source = Source(NAME, kept_optima(keeping, "made", problem, TRUTH, num, SOUGHT), TRUTH)
     answers = []
     for way in scale.ways:
-        num = scale.num_trajectories
-        answers += infer_from(keeping, "double_pendulum", MODEL, way, num, [source])
+        num_each = scale.num_trajectories
+        answers += infer_from(keeping, "double_pendulum", MODEL, way, num_each, [source])
     return Result(scale, source, best_tables(answers), keeping.clock.seconds)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from swerve import store
 
@@ -14,8 +15,8 @@ from swerve import store
 class Clock:
     """Seconds by name, kept in a file.
 
-    What was interrupted is added up when it goes on; what has finished is found again afterwards,
-    and that does not count.
+    What was interrupted is added up when it goes on, unless the process was killed outright; what
+    has finished is found again afterwards, and that does not count.
 
     Args:
       path: of the file.
@@ -58,8 +59,27 @@ class Keeping(NamedTuple):
     progress: bool
 
     @classmethod
-    def at(cls, folder: Path, is_quick: bool, seed: int, progress: bool) -> Keeping:
-        """Return that of this size and seed in a folder of all sizes and seeds."""
-        place = folder / f"{'quick' if is_quick else 'full'}.seed{seed}"
+    def at(cls, folder: Path, name: str, scale: Any, seed: int, progress: bool) -> Keeping:
+        """Return that of one size and seed, in a folder of all sizes and seeds.
+
+        Args:
+          folder: of all of them.
+          name: of the size.
+          scale: how much is done; its text is kept, to be compared.
+          seed: of everything random.
+          progress: whether to show progress bars.
+
+        Raises:
+          ValueError: if what is there was made by another version, or with another scale.
+        """
+        place = folder / f"{name}.seed{seed}"
         place.mkdir(parents=True, exist_ok=True)
+        path, made_by = place / "made_by.json", {"swerve": version("swerve"), "scale": repr(scale)}
+        if not path.exists():
+            store.write_json(path, made_by)
+        elif store.read_json(path) != made_by:
+            raise ValueError(
+                f"{place}: holds what another version of Swerve made, or with other settings: "
+                "remove it, or choose another folder"
+            )
         return cls(place, Clock(place / "seconds.json"), seed, progress)

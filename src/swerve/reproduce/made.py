@@ -6,14 +6,14 @@ import shutil
 from pathlib import Path
 
 from swerve.demonstrations import Demonstration, read_demonstrations, write_demonstrations
-from swerve.demonstrators.optimal_control import SPARE, Settings, first_optima
+from swerve.demonstrators.optimal_control import SPARE, Search, first_optima
 from swerve.problem import Problem
 from swerve.reproduce.keeping import Keeping
 from swerve.tasks import draw_tasks
 
 
 def kept_optima(
-    keeping: Keeping, name: str, problem: Problem, truth: int, num: int, settings: Settings
+    keeping: Keeping, name: str, problem: Problem, truth: int, num: int, search: Search
 ) -> list[Demonstration]:
     """Return demonstrations that avoid a hypothesis, between states too.
 
@@ -25,7 +25,7 @@ def kept_optima(
       problem: whose MDP draws the tasks.
       truth: index of the hypothesis.
       num: how many.
-      settings: what is looked for.
+      search: what is looked for.
 
     Raises:
       NoPathError: if more than half of the tasks cannot be done.
@@ -34,7 +34,7 @@ def kept_optima(
     folder = keeping.folder / name
     if not folder.exists():
         with keeping.clock.timing(f"{name}: demonstrations"):
-            made = _optima(keeping, problem, truth, num, settings)
+            made = _optima(keeping, problem, truth, num, search)
         partial = folder.with_name(f"{name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         names = problem.mdp.action_names
@@ -47,13 +47,13 @@ def kept_optima(
 
 
 def _optima(
-    keeping: Keeping, problem: Problem, truth: int, num: int, settings: Settings
+    keeping: Keeping, problem: Problem, truth: int, num: int, search: Search
 ) -> list[Demonstration]:
     """Return as many demonstrations as asked for, of the first tasks that can be done."""
     constraint, seed = problem.hypotheses.constraint(truth), keeping.seed
     tasks = draw_tasks(problem, SPARE * num, avoid=[constraint], seed=1_000 * seed + truth)
     how = {"seed": seed, "progress": keeping.progress}
-    optima = first_optima(problem, constraint, tasks, num, settings, **how)
+    optima = first_optima(problem, constraint, tasks, num, search, **how)
     return [optimum.demonstration for optimum in optima]
 
 

@@ -25,7 +25,8 @@ import numpy as np
 
 from swerve.constraints import violates
 from swerve.demonstrations import Demonstration
-from swerve.demonstrators.optimal_control import Settings
+from swerve.demonstrators.optimal_control import Search
+from swerve.hypotheses import unpack
 from swerve.reproduce.keeping import Keeping
 from swerve.reproduce.made import kept_optima, read_folder
 from swerve.reproduce.ranks import NOISE, Curve, Judged, curve
@@ -37,9 +38,9 @@ from swerve.reproduce.ways import (
     Answer,
     Source,
     Way,
-    answers_of,
     best_tables,
     infer_from,
+    sizes_of,
 )
 from swerve.systems.pendulum import pendulum
 
@@ -47,7 +48,7 @@ CONSTRAINTS = {"C1": 55, "C2": 85}
 REAL = "real"  # name of the demonstrations of a folder
 NUM_CELLS = 100
 REAL_TRUTH = CONSTRAINTS["C1"]
-SOUGHT = Settings(limits=(-np.inf, np.inf), goal_tolerance=0.05)  # rad and rad/s together
+SOUGHT = Search(limits=(-np.inf, np.inf), goal_tolerance=0.05)  # rad and rad/s together
 LEAST_SURVIVAL = 1e-4  # one trajectory of 10,000
 FOLLOWED = (55, 17, 87, 7)  # cells whose nats are told, the four of METHOD
 
@@ -150,10 +151,11 @@ def reproduce(
     Raises:
       ImportError: if CasADi is not installed.
       OSError: if a file is missing or cannot be written.
-      ValueError: if a file cannot be understood, or the demonstrations enter cell 55.
+      ValueError: if a file cannot be understood, the demonstrations enter cell 55, or what is kept
+        was made by another version or with other settings.
     """
-    scale = QUICK if is_quick else FULL
-    keeping = Keeping.at(folder, is_quick, seed, progress)
+    name, scale = ("quick", QUICK) if is_quick else ("full", FULL)
+    keeping = Keeping.at(folder, name, scale, seed, progress)
     problem, num = pendulum(between_states=False), scale.num_demonstrations
     theirs = None if data is None else _read(data, num if is_quick else None)
     exact = {} if data is None or theirs is None else _exact_violation(data, scale, theirs)
@@ -165,11 +167,13 @@ def reproduce(
     answers = []
     for max_torque, ways in scale.ways.items():
         for way in ways:
-            place, num = f"torque_{max_torque:g}", scale.num_trajectories
-            answers += infer_from(keeping, place, model(max_torque), way, num, sources)
+            place, num_each = f"torque_{max_torque:g}", scale.num_trajectories
+            answers += infer_from(keeping, place, model(max_torque), way, num_each, sources)
     answers = best_tables(answers)
     compared = [
-        _exact(max_torque, violation, answers, seed) for max_torque, violation in exact.items()
+        _exact(max_torque, violation, theirs, seed)
+        for max_torque, violation in exact.items()
+        if theirs is not None
     ]
     return Result(scale, sources, answers, compared, keeping.clock.seconds)
 
@@ -204,12 +208,16 @@ def _exact_violation(data: Path, scale: Scale, theirs: Source) -> dict[float, np
     }
 
 
-def _exact(max_torque: float, violation: np.ndarray, answers: list[Answer], seed: int) -> Exact:
-    """Return the curve by exact probabilities [D, H]; what is entered, any answer knows."""
-    answer = answers_of(answers, REAL, model(max_torque))[0]
+def _exact(max_torque: float, violation: np.ndarray, theirs: Source, seed: int) -> Exact:
+    """Return the curve by exact probabilities [D, H]."""
+    problem, made = pendulum(between_states=False), theirs.demonstrations
+    bits = [
+        problem.hypotheses.violations(one.states[None], problem.mdp.space, False) for one in made
+    ]
+    entered = unpack(np.concatenate(bits), NUM_CELLS)
     survival = np.maximum(1.0 - np.where(violation < NOISE, 0.0, violation), LEAST_SURVIVAL)
-    said = Judged(-np.log(survival), answer.result.entered)
-    drawn = curve(said, REAL_TRUTH, answer.curve.sizes, seed=seed)
+    said = Judged(-np.log(survival), entered)
+    drawn = curve(said, REAL_TRUTH, sizes_of(len(made)), seed=seed)
     return Exact(max_torque, violation, said.score.sum(axis=0), drawn)
 
 

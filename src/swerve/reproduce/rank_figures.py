@@ -68,7 +68,8 @@ def way_name(answer: Answer) -> str:
     if name != DISCRETE:
         return LABELS.get(name, name)
     settings = dict(part.split("=") for part in answer.way.solver.partition("?")[2].split("&"))
-    return f"{name}, {settings['num_cells']} cells an axis, {settings['hold']} steps"
+    part = " of a part" if "low" in settings else ""
+    return f"{name}, {settings['num_cells']} cells an axis{part}, {settings['hold']} steps"
 
 
 def rank_rows(panels: Sequence[Panel]) -> list[list[str]]:
@@ -93,8 +94,7 @@ def draw_ranks(panels: Sequence[Panel]) -> Figure:
             label, style = LABELS.get(line.way, line.way), STYLES[line.way]
             sizes, curve = line.curve.sizes, line.curve
             axes.plot(sizes, curve.rank, lw=1.1, label=label, zorder=3, **style)
-            if line.way != EXACT:
-                axes.fill_between(sizes, *curve.interval, color=style["color"], alpha=0.14, lw=0)
+            axes.fill_between(sizes, *curve.interval, color=style["color"], alpha=0.14, lw=0)
         axes.set_title(panel.title, fontsize=SIZE, loc="left", fontweight="bold")
         _scales(axes, max(panel.lines[0].curve.sizes))
     every[-1].set_xlabel("demonstrations", fontsize=SIZE)

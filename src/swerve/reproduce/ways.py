@@ -113,11 +113,15 @@ def infer_from(
         with clock.timing(draw):
             evidence = work.evidence(Task.stack([one.task for one in moved]))
         result = infer(evidence, moved, score=way.score)
-        sizes = [size for size in SIZES if size <= len(moved)]
-        drawn = curve(judged(result), source.truth, sizes, seed=keeping.seed)
+        drawn = curve(judged(result), source.truth, sizes_of(len(moved)), seed=keeping.seed)
         seconds = clock.seconds[learn], clock.seconds[draw] / len(moved)
         found.append(Answer(source.name, model, way, drawn, result, *seconds))
     return found
+
+
+def sizes_of(num: int) -> list[int]:
+    """Return the numbers of demonstrations to ask of, out of so many."""
+    return [size for size in SIZES if size <= num]
 
 
 def best_tables(answers: list[Answer]) -> list[Answer]:

@@ -29,6 +29,7 @@ RULES = ("centre", "majority")
 MAX_DIMENSIONS = 4
 DEFAULT_CELLS = {1: 400, 2: 60, 3: 24, 4: 12}  # along each axis
 DEFAULT_STEPS = 50  # of an episode
+ROUNDING = 1e-6  # rad, by which a full turn may be off
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,16 @@ class Discrete:
     Attributes:
       num_cells: cells along each axis, or 0 for 400, 60, 24 or 12 in 1, 2, 3 or 4 dimensions.
       hold: steps of the MDP for which an action is held, or 0 for about 50 choices an episode.
+      low: where the grid begins along each axis; () for the bounds, of angles a full turn.
+      high: where it ends. What is beyond counts as the cell at the edge.
       rule: "centre": the successor is where the centre of the cell is led; "majority": where most
         of 2^n + 1 of its points are.
     """
 
     num_cells: tuple[int, ...] | int = 0
     hold: int = 0
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
     rule: str = "centre"
 
     name = "discrete"
@@ -55,6 +60,8 @@ class Discrete:
         else:
             whole_number(self.num_cells, "Discrete: num_cells", 0)
         whole_number(self.hold, "Discrete: hold", 0)
+        for name in ("low", "high"):  # a file may hold them as lists
+            object.__setattr__(self, name, tuple(float(x) for x in getattr(self, name)))
         if self.rule not in RULES:
             raise ValueError(f"Discrete: rule: expected one of {RULES}, got {self.rule!r}")
 
@@ -75,7 +82,7 @@ class Discrete:
           ValueError: if the state has more than 4 dimensions, or the tables would not fit memory.
         """
         self.check(problem)
-        cells = Cells(problem.mdp.space, self._shape(problem))
+        cells = Cells(problem.mdp.space, self._shape(problem), self._limits(problem))
         hold = self._hold(problem)
         held = _held(problem, hold)
         successors = _successors(cells, held, problem, self.rule)
@@ -114,6 +121,17 @@ class Discrete:
                 f"Discrete: num_cells: expected one number for each of the states "
                 f"{', '.join(mdp.state_names)}, got {shape}"
             )
+        low, high = self._limits(problem)
+        if low.shape != (n,) or high.shape != (n,) or not (low < high).all():
+            raise ValueError(
+                f"Discrete: low, high: expected where the grid begins and ends for each of the "
+                f"states {', '.join(mdp.state_names)}, got {self.low} and {self.high}"
+            )
+        if (high - low > TWO_PI + ROUNDING)[mdp.space.is_angle].any():
+            raise ValueError(
+                f"Discrete: low, high: expected at most a full turn of each angle, got {self.low} "
+                f"and {self.high}"
+            )
         if self.hold > mdp.num_steps:
             raise ValueError(
                 f"Discrete: hold: expected at most the {mdp.num_steps} steps of an episode, got "
@@ -132,6 +150,13 @@ class Discrete:
             return (self.num_cells or DEFAULT_CELLS[n],) * n
         return self.num_cells
 
+    def _limits(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the grid begins [n] and ends [n]."""
+        space = problem.mdp.space
+        low = np.where(space.is_angle, 0.0, space.bounds[:, 0])
+        high = np.where(space.is_angle, TWO_PI, space.bounds[:, 1])
+        return (np.array(self.low) if self.low else low, np.array(self.high) if self.high else high)
+
     def _hold(self, problem: Problem) -> int:
         return self.hold or max(1, round(problem.mdp.num_steps / DEFAULT_STEPS))
 
@@ -141,19 +166,22 @@ class Discrete:
 
 
 class Cells:
-    """A regular grid of cells over the bounds; angles go all the way round.
+    """A regular grid of cells; angles go round where it covers a full turn of them.
 
     Args:
-      space: names, angles and bounds of the states.
+      space: names and angles of the states.
       shape: cells along each axis.
+      limits: where the grid begins [n] and ends [n].
     """
 
-    def __init__(self, space: StateSpace, shape: tuple[int, ...]) -> None:
+    def __init__(
+        self, space: StateSpace, shape: tuple[int, ...], limits: tuple[np.ndarray, np.ndarray]
+    ) -> None:
         self.shape = shape
-        self.low = np.where(space.is_angle, 0.0, space.bounds[:, 0])
-        extent = np.where(space.is_angle, TWO_PI, space.extent)
-        self.width = extent / np.array(shape)
-        self.is_angle = space.is_angle
+        self.low, high = limits
+        self.width = (high - self.low) / np.array(shape)
+        self.goes_round = space.is_angle & (high - self.low > TWO_PI - ROUNDING)
+        self.is_part = space.is_angle & ~self.goes_round
 
     @property
     def centres(self) -> np.ndarray:
@@ -163,9 +191,12 @@ class Cells:
 
     def number(self, states: np.ndarray) -> np.ndarray:
         """Return the cell [...] of states [..., n]; beyond the edge, the cell at the edge."""
+        middle = self.low + 0.5 * self.width * np.array(self.shape)
+        nearest = middle + (states - middle + math.pi) % TWO_PI - math.pi
+        states = np.where(self.is_part, nearest, states)
         index = np.floor((states - self.low) / self.width).astype(np.int64)
         size = np.array(self.shape)
-        index = np.where(self.is_angle, index % size, np.clip(index, 0, size - 1))
+        index = np.where(self.goes_round, index % size, np.clip(index, 0, size - 1))
         return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), self.shape))
 
 

@@ -129,7 +129,9 @@ class SoftValue(TrainingSolver):
         """
         num_steps = max(ADAPTING_STEPS, round(ADAPTING_SHARE * self.num_steps))
         assert isinstance(nominal.policy, SoftValuePolicy)
-        floor = min(max(self.floor, least_value(nominal.policy, seed) - DOOMED), -DOOMED)
+        floor = nominal.policy.settings.floor
+        if floor == LOWEST:
+            floor = least_value(nominal.policy, seed) - DOOMED
         settings = replace(self, num_steps=num_steps, floor=floor)
         learned_for = nominal.policy.problem.beta
         trainer = settings.trainer(replace(problem, beta=learned_for), seed)
@@ -150,10 +152,15 @@ class SoftValue(TrainingSolver):
 
 
 def least_value(policy: SoftValuePolicy, seed: int) -> float:
-    """Return the least soft value of states anywhere at any time, on the way to any goal [nats]."""
+    """Return the least soft value of states anywhere at any time, on the way to any goal [nats].
+
+    It is 0 at most. States from which a known constraint cannot be avoided do not count: the values
+    that were learned for them lie about LOWEST.
+    """
     mdp = policy.problem.mdp
     key_state, key_step, key_task = jax.random.split(jax.random.key(seed), 3)
     states = jax.vmap(mdp.sample_state)(jax.random.split(key_state, NUM_ASKED))
     steps = jax.random.randint(key_step, (NUM_ASKED,), 0, mdp.num_steps)
     goals = jax.vmap(mdp.sample_task)(jax.random.split(key_task, NUM_ASKED)).goal
-    return float(jax.vmap(policy.value)(states, steps, goals).min())
+    values = np.asarray(jax.vmap(policy.value)(states, steps, goals))
+    return float(values[values > 0.5 * LOWEST].min(initial=0.0))

@@ -1,0 +1,46 @@
+"""What takes long is kept: whose it is, and how long it took."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from swerve.reproduce import keeping
+from swerve.reproduce.keeping import Clock, Keeping
+
+
+def test_interrupted_times_add_up_and_finished_ones_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(keeping.time, "perf_counter", lambda: now[0])
+    path = tmp_path / "seconds.json"
+
+    def interrupted() -> None:
+        with Clock(path).timing("learn"):
+            now[0] += 3.0
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    with Clock(path).timing("learn"):
+        now[0] += 4.0
+    with Clock(path).timing("learn"):
+        now[0] += 50.0  # it finds what finished before
+    with Clock(path).timing("sample"):
+        now[0] += 0.5
+    assert Clock(path).seconds == {"learn": 7.0, "sample": 0.5}
+
+
+def test_what_others_made_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Keeping.at(tmp_path, "quick", (1, 2), 0, False)
+    assert Keeping.at(tmp_path, "quick", (1, 2), 0, False).folder == made.folder
+    others = [Keeping.at(tmp_path, "full", (1, 3), 0, False)]
+    others.append(Keeping.at(tmp_path, "quick", (1, 2), 1, False))
+    assert len({made.folder, *(one.folder for one in others)}) == 3
+    with pytest.raises(ValueError, match=r"quick.seed0: holds what another .* other settings"):
+        Keeping.at(tmp_path, "quick", (1, 3), 0, False)
+    monkeypatch.setattr(keeping, "version", lambda name: "0.0.0")
+    with pytest.raises(ValueError, match="another version of Swerve made"):
+        Keeping.at(tmp_path, "quick", (1, 2), 0, False)
