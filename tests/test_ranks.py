@@ -16,6 +16,7 @@ from swerve.systems.gridworld import Gridworld
 MDP = Gridworld(width=4, height=3, num_steps=8)
 PROBLEM = Problem(MDP, MDP.hypotheses(), measure="counting", between_states=False)
 TASK = Task(np.zeros(2), np.array([3.0, 0.0]))
+EVIDENCE = sample(learn(PROBLEM, "tabular"), TASK)
 TRUTH = 1  # cell (1, 0), on the shortest way
 
 
@@ -51,12 +52,11 @@ def test_averages_are_those_over_all_subsets(size: int) -> None:
 
 def test_they_are_the_ranks_of_inference() -> None:
     made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:6]
-    evidence = sample(learn(PROBLEM, "tabular"), TASK)
     for score in ("likelihood", "average"):
-        said = judged(infer(evidence, made, score=score), noise=0.0)
+        said = judged(infer(EVIDENCE, made, score=score), noise=0.0)
         for size in (1, 3):
             expected = [
-                rank(infer(evidence, list(chosen), score=score).score, TRUTH)
+                rank(infer(EVIDENCE, list(chosen), score=score).score, TRUTH)
                 for chosen in itertools.combinations(made, size)
             ]
             assert np.mean(expected) == pytest.approx(all_subsets(said, TRUTH, size))
@@ -64,7 +64,7 @@ def test_they_are_the_ranks_of_inference() -> None:
 
 def test_a_curve_falls_and_knows_its_error() -> None:
     made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:40]
-    said = judged(infer(sample(learn(PROBLEM, "tabular"), TASK), made))
+    said = judged(infer(EVIDENCE, made))
     found = curve(said, TRUTH, [1, 5, 20], num_trials=200)
     assert found.rank[0] > found.rank[1] >= found.rank[2] >= 1.0
     assert found.first[0] < found.first[2] <= 1.0
@@ -73,7 +73,7 @@ def test_a_curve_falls_and_knows_its_error() -> None:
     assert (found.rank <= high).all()
     assert low.min() >= 1.0
     others = [
-        curve(judged(infer(sample(learn(PROBLEM, "tabular"), TASK), one)), TRUTH, [5]).rank[0]
+        curve(judged(infer(EVIDENCE, one)), TRUTH, [5]).rank[0]
         for one in (
             draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(k))[:40]
             for k in range(1, 13)
@@ -84,11 +84,10 @@ def test_a_curve_falls_and_knows_its_error() -> None:
 
 def test_what_no_trajectory_tells_apart_is_a_tie() -> None:
     """Violation probabilities below the noise count as 0."""
-    evidence = sample(learn(PROBLEM, "tabular"), TASK)
     made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:2]
-    violation = evidence.violation_probability[0]
+    violation = EVIDENCE.violation_probability[0]
     noise = float(np.median(violation))
-    said = judged(infer(evidence, made), noise)
+    said = judged(infer(EVIDENCE, made), noise)
     assert (said.score[:, violation < noise] == 0.0).all()
     told = (said.score > 0.0) | said.entered  # or nobody can avoid it
     assert told[:, violation > noise].all()

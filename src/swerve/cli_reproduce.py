@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 from swerve.cli_options import AsJson, say
-
-if TYPE_CHECKING:
-    from swerve.reproduce.files import Part
 
 WORK = "work"  # folder in --out of what takes long
 
@@ -87,7 +83,7 @@ def _car(out: Path, is_quick: bool, seed: int) -> None:
 
     result = car.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
     print(car_figures.text(result))
-    _write(out, car_figures.parts(result), car_figures.tables(result))
+    _write(out, car_figures, result)
 
 
 def _double_pendulum(out: Path, is_quick: bool, seed: int) -> None:
@@ -95,7 +91,7 @@ def _double_pendulum(out: Path, is_quick: bool, seed: int) -> None:
 
     result = double_pendulum.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
     print(double_pendulum_figures.text(result))
-    _write(out, double_pendulum_figures.parts(result), double_pendulum_figures.tables(result))
+    _write(out, double_pendulum_figures, result)
 
 
 def _pendulum(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
@@ -103,7 +99,7 @@ def _pendulum(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
 
     result = pendulum.reproduce(out / WORK, data, is_quick=is_quick, seed=seed, progress=True)
     print(pendulum_figures.text(result))
-    _write(out, pendulum_figures.parts(result), pendulum_figures.tables(result))
+    _write(out, pendulum_figures, result)
 
 
 def _gridworld(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
@@ -111,7 +107,7 @@ def _gridworld(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
 
     result = gridworld.reproduce(data, is_quick=is_quick, seed=seed, progress=True)
     print(gridworld_figures.text(result))
-    _write(out, gridworld_figures.parts(result), gridworld_figures.tables(result))
+    _write(out, gridworld_figures, result)
 
 
 def _human_walk(
@@ -124,10 +120,12 @@ def _human_walk(
     result = human_walk.reproduce(data, is_quick=is_quick, seed=seed, progress=True)
     print(json.dumps(human_walk.to_json(result)) if as_json else human_walk_figures.text(result))
     if out is not None:
-        _write(out, human_walk_figures.parts(result), human_walk_figures.tables(result))
+        _write(out, human_walk_figures, result)
 
 
-def _write(out: Path, parts: Sequence[Part], tables: Mapping[str, str]) -> None:
+def _write(out: Path, figures: Any, result: Any) -> None:
+    """Write what a module of figures makes of a result."""
     from swerve.reproduce.files import write
 
-    say(f"wrote {', '.join(path.name for path in write(out, parts, tables))} to {out}")
+    written = write(out, figures.parts(result), figures.tables(result))
+    say(f"wrote {', '.join(path.name for path in written)} to {out}")

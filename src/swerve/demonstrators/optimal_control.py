@@ -239,9 +239,9 @@ class _Planner:
         ]
         if not near:
             raise NoPathError(
-                f"{where} the nearest path that was found ends {min(missed):.3g} off, more than "
-                f"goal_tolerance = {self._goal_tolerance:g} ({tried}): choose another task, wider "
-                "limits of actions or a larger goal_tolerance"
+                f"{where} the nearest path that was found ends {min(missed):.3g} from the goal, "
+                f"more than goal_tolerance = {self._goal_tolerance:g} ({tried}): choose another "
+                "task, wider limits of actions or a larger goal_tolerance"
             )
         best = max(near, key=lambda solution: solution.reward)
         times = np.arange(self._num_steps + 1) * self._mdp.dt
