@@ -16,13 +16,12 @@ from swerve import Box, Car, Evidence, Inference, Nominal, infer
 from swerve.demonstrators.driver import drives
 from swerve.exact import Drawn, ExactAnswer, exact_evidence
 from swerve.reproduce import car, car_figures
-from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, truth, verdict
+from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, TRUTH, verdict
 from swerve.solvers.soft_value import SoftValue
 from swerve.temperature import BetaFit
 
 SMALL = car.Scale(
     dt=0.25,
-    num_rows=7,
     num_drives=8,
     num_trajectories=200,
     solver=SoftValue(num_steps=60_000, num_lanes=64),
@@ -32,10 +31,9 @@ SMALL = car.Scale(
 )
 
 
-@pytest.mark.parametrize("num_rows", [14, 7, 4])
-def test_the_true_region_holds_the_middle_of_the_obstacle(num_rows: int) -> None:
-    problem = car.model(SMALL._replace(num_rows=num_rows), 0.4)
-    region = problem.hypotheses.constraint(truth(num_rows))
+def test_the_true_region_holds_the_middle_of_the_obstacle() -> None:
+    problem = car.model(SMALL, 0.4)
+    region = problem.hypotheses.constraint(TRUTH)
     middle = [0.5 * sum(OBSTACLE.intervals[name]) for name in ("x", "y")]
     assert region.contains(np.array([*middle, 0.0, 1.0]), problem.mdp.space)
     assert isinstance(region, Box)
@@ -43,19 +41,18 @@ def test_the_true_region_holds_the_middle_of_the_obstacle(num_rows: int) -> None
 
 
 def test_verdicts() -> None:
-    true = truth(14)
-    assert verdict(true, 14) == EXACT
-    assert {verdict(true + step, 14) for step in (-1, 1, -14)} == {NEXT}
-    assert {verdict(true + step, 14) for step in (-2, 2, -13, -15)} == {OTHER}
-    assert verdict(14, 14) == OTHER  # the first of the right lane is not next to the left's last
-    assert verdict(13, 14) == OTHER
+    assert verdict(TRUTH) == EXACT
+    assert {verdict(TRUTH + step) for step in (-1, 1, -14)} == {NEXT}
+    assert {verdict(TRUTH + step) for step in (-2, 2, -13, -15)} == {OTHER}
+    assert verdict(14) == OTHER  # the first of the right lane is not next to the left's last
+    assert verdict(13) == OTHER
 
 
 def test_a_place_that_is_shared_is_nobodys() -> None:
     posterior = np.full(29, 1.0 / 29.0)
-    singles = [car.Single(truth(14), tied, 0, posterior) for tied in (1, 1, 3)]
-    singles.append(car.Single(truth(14) + 1, 1, 0, posterior))
-    assert list(car_figures.counts(singles, 14).values()) == [2, 1, 0, 1]
+    singles = [car.Single(TRUTH, tied, 0, posterior) for tied in (1, 1, 3)]
+    singles.append(car.Single(TRUTH + 1, 1, 0, posterior))
+    assert list(car_figures.counts(singles).values()) == [2, 1, 0, 1]
 
 
 def test_when_a_monitor_knows_for_good() -> None:
@@ -81,13 +78,13 @@ def test_what_one_drive_says_and_seven_say() -> None:
         assert single.first == left_out[avoid[left_out].argmin()]
         assert (single.tied, single.bounds) == (1, 0)
         assert single.posterior.sum() == pytest.approx(1.0)
-    found = [verdict(car._single(evidence, drive).first, 14) for drive in made]
+    found = [verdict(car._single(evidence, drive).first) for drive in made]
     assert found.count(EXACT) > 6
     assert found.count(OTHER) <= 1
     # of sets of seven the truth comes first unless all of one leave out the region before it too
     entered = infer(evidence, made).entered
-    assert not entered[:, truth(14)].any()
-    assert car._seven_share(evidence, made, truth(14), 0) > 0.9
+    assert not entered[:, TRUTH].any()
+    assert car._seven_share(evidence, made, 0) > 0.9
 
 
 def resolved(nominal: Nominal, inference: Inference, *, keep: Callable, **how: object) -> Evidence:
@@ -102,7 +99,7 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(car, "QUICK", SMALL)
     monkeypatch.setattr(car, "fit_beta", lambda *arguments: fit)
     monkeypatch.setattr(car, "resolve", resolved)
-    monkeypatch.setattr(Inference, "is_open", np.ones((1, 14), bool))
+    monkeypatch.setattr(Inference, "is_open", np.ones((1, 28), bool))
     command = ("reproduce", "car", "--quick", "--out", tmp_path / "out")
     status, printed, said = run(*command)
     assert status == 0, said
@@ -116,7 +113,7 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
         rows = list(csv.DictReader(file))
     assert len(rows) == SMALL.num_drives
     assert {row["is"] for row in rows} <= {EXACT, NEXT, OTHER}
-    assert all(0 <= int(row["bounds"]) <= 14 for row in rows)
+    assert all(0 <= int(row["bounds"]) <= 28 for row in rows)
     assert all(row["y_near_m"] == "nan" or 0.0 <= float(row["y_near_m"]) < 9.0 for row in rows)
     with (tmp_path / "out" / "car_track.csv").open() as file:
         belief = {row["region"]: float(row["posterior_of_seven"]) for row in csv.DictReader(file)}

@@ -26,7 +26,6 @@ from swerve.demonstrators.driver import START, drives
 from swerve.evidence import Evidence
 from swerve.foresight import Foresight
 from swerve.foresight_training import foresee
-from swerve.grids import grid
 from swerve.inference import Inference, infer
 from swerve.monitor import Monitor
 from swerve.nominal import Nominal, learn, load_nominal, save_nominal
@@ -37,10 +36,12 @@ from swerve.resolving import resolve
 from swerve.sampling import sample
 from swerve.solvers.soft_value import SoftValue
 from swerve.space import Task
-from swerve.systems.car import GOAL_LINE, NUM_LANES, NUM_ROWS, TRACK, Car, car
+from swerve.systems.car import GOAL_LINE, NUM_ROWS, Car, car
 from swerve.temperature import BetaFit, fit_beta
 
 OBSTACLE = Box(x=(-0.3, 0.2), y=(6.7, 7.4))
+# the region that holds the middle of the obstacle, in the right lane
+TRUTH = NUM_ROWS + int(NUM_ROWS * sum(OBSTACLE.intervals["y"]) / 2.0 / GOAL_LINE)
 NUM_FREE = 20  # drives with nothing in the way
 SEVEN = 7  # drives in the paper
 NUM_SETS = 200  # random sets of seven
@@ -57,7 +58,6 @@ class Scale(NamedTuple):
 
     Attributes:
       dt: duration of a step of the model [s].
-      num_rows: of regions along the track.
       num_drives: around the obstacle.
       num_trajectories: sampled.
       solver: of the nominal distribution.
@@ -67,7 +67,6 @@ class Scale(NamedTuple):
     """
 
     dt: float
-    num_rows: int
     num_drives: int
     num_trajectories: int
     solver: SoftValue
@@ -78,7 +77,6 @@ class Scale(NamedTuple):
 
 FULL = Scale(
     dt=0.05,
-    num_rows=NUM_ROWS,
     num_drives=70,
     num_trajectories=10_000,
     solver=SoftValue(num_steps=20_000_000),
@@ -87,12 +85,11 @@ FULL = Scale(
     num_updates=10_000,
 )
 QUICK = Scale(
-    dt=0.25,
-    num_rows=7,
+    dt=0.1,
     num_drives=14,
     num_trajectories=2_000,
-    solver=SoftValue(num_steps=1_000_000),
-    num_paper=40,
+    solver=SoftValue(num_steps=1_000_000, num_lanes=128, width=64),
+    num_paper=16,
     num_rollouts=1_000,
     num_updates=2_000,
 )
@@ -182,7 +179,7 @@ def reproduce(
     with progress_bar("monitoring", len(made), progress) as advance:
         early = []
         for drive in made:
-            early.append(_early(evidence, foresight, drive, scale.num_rows))
+            early.append(_early(evidence, foresight, drive))
             advance(1)
     paper_evidence = _evidence(keeping, "paper", nominal, scale.num_paper, PAPER_BETA)
     return Result(
@@ -193,7 +190,7 @@ def reproduce(
         [_single(evidence, drive) for drive in made],
         early,
         infer(evidence, made[:SEVEN], tolerance=TOLERANCE),
-        _seven_share(evidence, made, truth(scale.num_rows), seed),
+        _seven_share(evidence, made, seed),
         [_single(paper_evidence, drive) for drive in made],
         paper_evidence,
         keeping.clock.seconds,
@@ -201,21 +198,15 @@ def reproduce(
 
 
 def model(scale: Scale, beta: float) -> Problem:
-    """Return the car in steps of scale.dt, in as much time as always, and its regions."""
+    """Return the car in steps of scale.dt, in as much time as always."""
     usual = Car()
     mdp = Car(dt=scale.dt, num_steps=round(usual.dt * usual.num_steps / scale.dt))
-    cells = grid(x=(*TRACK, NUM_LANES), y=(0.0, GOAL_LINE, scale.num_rows))
-    return dataclasses.replace(car(beta), mdp=mdp, hypotheses=cells)
+    return dataclasses.replace(car(beta), mdp=mdp)
 
 
-def truth(num_rows: int) -> int:
-    """Return the index of the region that holds the middle of the obstacle, in the right lane."""
-    return num_rows + int(num_rows * sum(OBSTACLE.intervals["y"]) / 2.0 / GOAL_LINE)
-
-
-def verdict(index: int, num_rows: int) -> str:
+def verdict(index: int) -> str:
     """Return whether a region is the true one, next to it, or another."""
-    (lane, row), (true_lane, true_row) = (divmod(one, num_rows) for one in (index, truth(num_rows)))
+    (lane, row), (true_lane, true_row) = divmod(index, NUM_ROWS), divmod(TRUTH, NUM_ROWS)
     return (EXACT, NEXT, OTHER)[min(abs(lane - true_lane) + abs(row - true_row), 2)]
 
 
@@ -326,10 +317,10 @@ def _single(evidence: Evidence, drive: Demonstration) -> Single:
     )
 
 
-def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration, num_rows: int) -> Early:
+def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration) -> Early:
     """Return from where on a monitor believes in the truth, and in it or a neighbour."""
     course = follow(Monitor(evidence, TASK, foresight, tolerance=TOLERANCE), drive)
-    found = [verdict(index, num_rows) for index in range(course.hypotheses.shape[1])]
+    found = [verdict(index) for index in range(course.hypotheses.shape[1])]
     y = np.append(drive.states[:, 1], drive.states[-1, 1])
     exact, near = (
         course.hypotheses[:, [one in right for one in found]].sum(axis=1) > SURE
@@ -346,10 +337,10 @@ def _from(y: np.ndarray, holds: np.ndarray) -> float:
     return float(y[wrong[-1] + 1]) if len(wrong) else float(y[0])
 
 
-def _seven_share(evidence: Evidence, made: list[Demonstration], true: int, seed: int) -> float:
+def _seven_share(evidence: Evidence, made: list[Demonstration], seed: int) -> float:
     """Return the share of random sets of seven for which the truth comes first."""
     generator = np.random.default_rng(seed)
     said = infer(evidence, made, tolerance=TOLERANCE).contributions
     num = min(SEVEN, len(made))
     sets = [generator.choice(len(made), num, replace=False) for _ in range(NUM_SETS)]
-    return float(np.mean([said[chosen].sum(axis=0).argmax() == true for chosen in sets]))
+    return float(np.mean([said[chosen].sum(axis=0).argmax() == TRUTH for chosen in sets]))

@@ -28,9 +28,9 @@ from swerve.reproduce.car import (
     PAPER_BETA,
     SEVEN,
     TIED,
+    TRUTH,
     Result,
     Single,
-    truth,
     verdict,
 )
 from swerve.reproduce.files import SIZE, SMALL, Part, column, markdown, time_table
@@ -69,12 +69,12 @@ def corners(result: Result) -> np.ndarray:
     return np.array([[*box.intervals["x"], *box.intervals["y"]] for box in boxes])
 
 
-def counts(singles: Sequence[Single], num_rows: int) -> dict[str, int]:
+def counts(singles: Sequence[Single]) -> dict[str, int]:
     """Return for how many drives the first region is the true one, next to it, or another.
 
     Where several share the first place it is none of these, but tied.
     """
-    found = Counter(TIED if one.tied > 1 else verdict(one.first, num_rows) for one in singles)
+    found = Counter(TIED if one.tied > 1 else verdict(one.first) for one in singles)
     return {name: found[name] for name in VERDICTS}
 
 
@@ -103,7 +103,7 @@ def drive_rows(result: Result) -> list[list[str]]:
              "paper_beta_tied"]]  # fmt: skip
     every = zip(result.drives, result.singles, result.early, result.paper, strict=True)
     for drive, single, early, paper in every:
-        found = verdict(single.first, result.scale.num_rows)
+        found = verdict(single.first)
         known = (f"{early.exact:.4g}", f"{early.near:.4g}")
         cells = (single.first, found, single.tied, single.bounds, *known, paper.first, paper.tied)
         rows.append([drive.name, *(str(cell) for cell in cells)])
@@ -191,7 +191,7 @@ def _count_table(result: Result) -> str:
         (f"Swerve, beta {beta:.3g}", result.singles),
         (f"samples brought to beta {PAPER_BETA:g}, effective {effective}", result.paper),
     ):
-        found, tied = counts(singles, result.scale.num_rows), np.mean([one.tied for one in singles])
+        found, tied = counts(singles), np.mean([one.tied for one in singles])
         shares = [f"{count} ({count / num:.0%})" for count in found.values()]
         bounds = sum(one.bounds > 0 for one in singles)
         rows.append([name, str(num), *shares, f"{tied:.1f}", str(bounds)])
@@ -206,9 +206,9 @@ def _fact_table(result: Result) -> str:
         np.array([getattr(one, field) for one in result.early]) for field in ("near", "exact")
     )
     low, high = fit.interval
-    seven, num_rows = result.seven.posterior, result.scale.num_rows
-    true, paper = seven.hypotheses[truth(num_rows)], result.paper_evidence
-    first = verdict(int(result.seven.ranking[0]), num_rows)
+    seven = result.seven.posterior
+    true, paper = seven.hypotheses[TRUTH], result.paper_evidence
+    first = verdict(int(result.seven.ranking[0]))
     off, late = _ends(result)
     rows = [
         ["beta of drives with nothing in the way", f"{fit.beta:.3g} ({low:.3g} to {high:.3g})"],
@@ -261,9 +261,9 @@ def _region_table(result: Result) -> str:
 
 def text(result: Result) -> str:
     """Return what the terminal shows."""
-    num, found = len(result.drives), counts(result.singles, result.scale.num_rows)
+    num, found = len(result.drives), counts(result.singles)
     belief = result.seven.posterior
-    true = belief.hypotheses[truth(result.scale.num_rows)]
+    true = belief.hypotheses[TRUTH]
     return (
         f"beta of drives with nothing in the way: {result.fit}\n"
         f"single drives, first region: {found[EXACT]} of {num} exact, {found[NEXT]} next to it, "
