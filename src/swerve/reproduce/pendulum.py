@@ -87,7 +87,7 @@ QUICK = Scale(
         10.0: (
             Way(SOFT_VALUE, "soft-value?num_steps=1200000&num_lanes=256&width=96", "smc"),
             Way(GRID, "grid?num_points=121", "smc"),
-            Way(PPO, "ppo?num_steps=1000000", "plain", "average"),
+            Way(PPO, "ppo?num_steps=3000000", "plain", "average"),
             Way(DISCRETE, "discrete?num_cells=60&hold=6", None),
         )
     },
