@@ -65,6 +65,15 @@ class Puck(MDP):
         return state[0] >= self.line
 
 
+class Throw(Puck):
+    """A puck that is to be somewhere, however fast."""
+
+    goal_names = ("x", "y")
+
+    def terminal_reward(self, state, goal):
+        return -100.0 * jnp.sum((state[:2] - goal) ** 2)
+
+
 PUCK = Problem(Puck(), grid(x=(-3.0, 3.0, 3)))
 ACROSS = Task(np.array([-1.5, 0.1, 0.0, 0.0]), np.array([1.5, 0.0, 0.0, 0.0]))
 
@@ -164,6 +173,15 @@ class TestOptimum:
         assert np.abs(item.actions).max() <= 1.0 + 1e-6
         for constraint in (*known.known, Box(x=(-0.4, 0.4), y=(-1.0, 0.0))):
             assert not violates(constraint, item.states, known.mdp.space, True)
+
+    def test_a_goal_that_is_a_position_is_come_to_at_any_speed(self) -> None:
+        problem, task = Problem(Throw(), PUCK.hypotheses), Task(ACROSS.start, ACROSS.goal[:2])
+        (found,) = optimal_control(problem, Ball(0.4, x=0.0, y=0.0), task, limits=FREE)
+        end = found.demonstration.states[-1]
+        assert np.linalg.norm(end[:2] - task.goal) < 0.05
+        assert end[2] > 0.5
+        with pytest.raises(ValueError, match=r"ends [\d.]+ from the goal"):
+            optimal_control(problem, NOWHERE, task, limits=(-0.1, 0.1), num_guesses=2)
 
     def test_an_angle_may_turn_either_way(self) -> None:
         problem = pendulum(10.0)

@@ -104,8 +104,8 @@ def optimal_control(
         actions if None.
       num_steps: T; the problem's horizon if None. Give it where episodes end early.
       num_guesses: from how many paths to begin; more find better optima.
-      goal_tolerance: how far from its goal a demonstration may end, where goals are states
-        [Euclidean, in the states' units].
+      goal_tolerance: how far from its goal a demonstration may end, where the names of goals are
+        names of states, such as a position [Euclidean, in the states' units].
       seed: of the guesses.
       progress: whether to show a progress bar.
 
@@ -201,6 +201,8 @@ class _Planner:
         self._goal_tolerance = positive_number(search.goal_tolerance, "goal_tolerance")
         self._mdp, self._limits = mdp, _checked_limits(search.limits, problem)
         self._avoided = (constraint, *problem.known)
+        goals, states = tuple(mdp.goal_names), tuple(mdp.state_names)
+        self._goal_columns = [states.index(goal) for goal in goals] if {*goals} <= {*states} else []
         spread = np.ptp(np.asarray(mdp.actions), axis=0)
         unit = np.concatenate([mdp.space.extent, np.where(spread > 0.0, spread, 1.0)])
         transcription = _transcription()
@@ -268,10 +270,10 @@ class _Planner:
     def _ends(self, task: Task, action: np.ndarray) -> list[np.ndarray]:
         """Return where guesses end: at the goal, by turns of angles, or where one would coast."""
         space = self._mdp.space
-        if self._mdp.goal_names != self._mdp.state_names:
+        if not self._goal_columns:
             actions = np.tile(action, (self._num_steps, 1))
             return [self._transcription.follow(task.start, actions)[-1]]
-        end = task.start + space.difference(task.start, task.goal)
+        end = task.start + space.difference(task.start, self._at_goal(task.start, task))
         turns = [TURNS if is_angle else (0,) for is_angle in space.is_angle]
         counts = sorted(itertools.product(*turns), key=lambda count: np.abs(count).sum())
         return [end + TWO_PI * np.array(count) for count in counts]
@@ -344,9 +346,15 @@ class _Planner:
 
     def _missed(self, task: Task, path: Path) -> float:
         """Return how far from its goal a path ends, 0 where goals are no states."""
-        if self._mdp.goal_names != self._mdp.state_names:
-            return 0.0
-        return float(np.linalg.norm(self._mdp.space.difference(path.states[-1], task.goal)))
+        end = path.states[-1]
+        return float(np.linalg.norm(self._mdp.space.difference(end, self._at_goal(end, task))))
+
+    def _at_goal(self, state: np.ndarray, task: Task) -> np.ndarray:
+        """Return a state [n] moved to the goal, where goals are states or some of their names."""
+        moved = np.array(state, float)
+        if self._goal_columns:
+            moved[self._goal_columns] = task.goal
+        return moved
 
 
 def _distinct(rewards: list[float]) -> list[float]:
