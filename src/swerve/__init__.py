@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.systems.walker import Walker
+    from swerve.tasks import draw_tasks
     from swerve.temperature import BetaFit, fit_beta
 
 __version__ = "0.1.0"
@@ -110,6 +111,7 @@ _HOMES = {
     "demonstrate": "demonstrators.boltzmann",
     "optimal_control": "demonstrators.optimal_control",
     "divergence": "rewards",
+    "draw_tasks": "tasks",
     "fit_beta": "temperature",
     "follow": "course",
     "foresee": "foresight_training",
@@ -181,6 +183,7 @@ __all__ = [
     "best_pair",
     "demonstrate",
     "divergence",
+    "draw_tasks",
     "fit_beta",
     "follow",
     "foresee",
