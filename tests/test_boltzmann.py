@@ -82,11 +82,13 @@ def test_on_tables_they_follow_it_exactly() -> None:
 def test_what_cannot_be_drawn_from_is_refused() -> None:
     problem = short_cart()
     other = learn(Problem(Pendulum(), grid(theta=(0.0, 6.0, 2))), GRID)
+    hotter = learn(dataclasses.replace(problem, beta=0.5 * problem.beta), GRID)
     for settings, message in [
         ({"solver": "ppo"}, "solver: expected one of grid, tabular, soft-value .*'ppo'"),
         ({"solver": 7}, "solver: expected one of grid, tabular, soft-value .*got 7"),
         ({"solver": GRID, "nominal": other}, "a solver or a nominal, not both"),
-        ({"nominal": other}, "expected one of Cart, got one of Pendulum"),
+        ({"nominal": other}, "the same MDP, beta and measure: Cart.*got one of Pendulum"),
+        ({"nominal": hotter}, "the same MDP, beta and measure: Cart.*; got one of Cart"),
         ({"nominal": learn(problem, "enumeration")}, "grid or soft-value learned.*enumeration"),
         ({"nominal": problem}, "grid or soft-value learned, got"),
     ]:

@@ -63,6 +63,8 @@ def test_the_whole_is_a_part_of_itself() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
+        ({"low": (-np.inf, 0.0)}, "low: expected a finite number for each state"),
+        ({"low": 1.0}, "low: expected a finite number for each state"),
         ({"low": (0.0,)}, "low, high: expected where the grid begins and ends for each"),
         ({"low": (3.0, 2.0), "high": (1.0, 3.0)}, "low, high: expected where"),
         ({"low": (0.0, -1.0), "high": (6.5, 1.0)}, "at most a full turn"),

@@ -31,6 +31,10 @@ def test_interrupted_times_add_up_and_finished_ones_stand(
     with Clock(path).timing("sample"):
         now[0] += 0.5
     assert Clock(path).seconds == {"learn": 7.0, "sample": 0.5}
+    for of in ("others", "others"):  # what is done to something else is timed anew, once
+        with Clock(path).timing("sample", of):
+            now[0] += 2.0
+    assert Clock(path).seconds == {"learn": 7.0, "sample": 2.0}
 
 
 def test_what_others_made_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

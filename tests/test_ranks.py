@@ -64,7 +64,7 @@ def test_they_are_the_ranks_of_inference() -> None:
 
 def test_a_curve_falls_and_knows_its_error() -> None:
     made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:40]
-    said = judged(infer(EVIDENCE, made))
+    said = judged(infer(EVIDENCE, made), 5e-4)
     found = curve(said, TRUTH, [1, 5, 20], num_trials=200)
     assert found.rank[0] > found.rank[1] >= found.rank[2] >= 1.0
     assert found.first[0] < found.first[2] <= 1.0
@@ -73,7 +73,7 @@ def test_a_curve_falls_and_knows_its_error() -> None:
     assert (found.rank <= high).all()
     assert low.min() >= 1.0
     others = [
-        curve(judged(infer(EVIDENCE, one)), TRUTH, [5]).rank[0]
+        curve(judged(infer(EVIDENCE, one), 5e-4), TRUTH, [5]).rank[0]
         for one in (
             draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(k))[:40]
             for k in range(1, 13)

@@ -119,7 +119,7 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
         belief = {row["region"]: float(row["posterior_of_seven"]) for row in csv.DictReader(file)}
     assert sum(belief.values()) == pytest.approx(1.0, abs=1e-3)
     first = (tmp_path / "out" / "car_track.csv").read_bytes()
-    kept = tmp_path / "out" / "work" / "quick.seed0"
+    kept = tmp_path / "out" / "work" / "car" / "quick.seed0"
     assert {path.name for path in kept.iterdir()} == {
         *("made_by.json", "seconds.json", "first.nominal", "first.evidence", "fitted.nominal"),
         *("fitted.evidence", "resolved.evidence", "foresight", "paper.evidence"),

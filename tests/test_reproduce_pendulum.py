@@ -11,6 +11,7 @@ import pytest
 from command import Run
 from matplotlib.image import imread
 
+from swerve import sampling
 from swerve.constraints import violates
 from swerve.reproduce import double_pendulum, made, pendulum, pendulum_figures
 from swerve.reproduce.keeping import Clock
@@ -43,7 +44,7 @@ def test_files_and_resuming(
     run: Run, tmp_path: Path, theirs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     command = ("reproduce", "pendulum", "--quick", "--out", tmp_path / "out", "--data", theirs)
-    partial = tmp_path / "out" / "work" / "quick.seed0" / "C1.partial"
+    partial = tmp_path / "out" / "work" / "pendulum" / "quick.seed0" / "C1.partial"
     partial.mkdir(parents=True)
     (partial / "demo_000.csv").write_text("cut sh")  # of a run that was interrupted
     status, printed, said = run(*command)
@@ -80,6 +81,54 @@ def test_files_and_resuming(
 
 
 @pytest.mark.usefixtures("small")
+def test_an_interrupted_one_goes_on(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def command(out: str) -> tuple:
+        return ("reproduce", "pendulum", "--quick", "--out", tmp_path / out)
+
+    assert run(*command("whole"))[0] == 0
+    optima, work = made.first_optima, tmp_path / "cut" / "work" / "pendulum" / "quick.seed0"
+
+    def once(*arguments: object, **settings: object) -> object:
+        if (work / "C1").exists():
+            raise KeyboardInterrupt
+        return optima(*arguments, **settings)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(made, "first_optima", once)
+        assert run(*command("cut"))[0] != 0
+    assert not (work / "C2").exists()
+    sampled = sampling.sample_each
+    calls = []
+
+    def twice(*arguments: object, **settings: object) -> object:
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return sampled(*arguments, **settings)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(sampling, "sample_each", twice)
+        assert run(*command("cut"))[0] != 0
+    assert not list((tmp_path / "cut").glob("pendulum_*"))
+    assert run(*command("cut"))[0] == 0
+    for kind in ("rank_torque10.csv", "ranks.md"):
+        whole, cut = (tmp_path / out / f"pendulum_{kind}" for out in ("whole", "cut"))
+        assert cut.read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.usefixtures("small")
+def test_files_of_another_run_are_named(run: Run, tmp_path: Path) -> None:
+    other = tmp_path / "pendulum_rank_real.csv"
+    other.write_text("of a run with --data")
+    status, _, said = run("reproduce", "pendulum", "--quick", "--out", tmp_path)
+    assert status == 0, said
+    assert "not of this run: pendulum_rank_real.csv" in said
+    assert other.read_text() == "of a run with --data"
+
+
+@pytest.mark.usefixtures("small")
 def test_demonstrations_avoid_their_cells(tmp_path: Path, theirs: Path) -> None:
     result = pendulum.reproduce(tmp_path, theirs, is_quick=True)
     problem = make_pendulum()
@@ -110,7 +159,7 @@ def test_exact_files_give_the_nats_of_the_method(shared_data: Path) -> None:
     theirs = pendulum._read(folder, None)
     scale = pendulum.FULL._replace(ways={10.0: ()})
     violation = pendulum._exact_violation(folder, scale, theirs)[10.0]
-    exact = pendulum._exact(10.0, violation, theirs, 0)
+    exact = pendulum._exact(10.0, violation, theirs, 10_000, 0)
     np.testing.assert_allclose(
         exact.nats[list(pendulum.FOLLOWED)], [13.4, 4.7, 4.3, 3.1], atol=0.06
     )
@@ -206,7 +255,8 @@ def test_the_double_pendulum(run: Run, tmp_path: Path, monkeypatch: pytest.Monke
         }
     with (tmp_path / "out" / "double_pendulum_time.csv").open() as file:
         rows = list(csv.DictReader(file))
-    clock = Clock(tmp_path / "out" / "work" / "quick.seed0" / "seconds.json").seconds
+    kept = tmp_path / "out" / "work" / "double-pendulum" / "quick.seed0"
+    clock = Clock(kept / "seconds.json").seconds
     for way, label in zip(ways, dict.fromkeys(row["way"] for row in rows), strict=True):
         learn = clock[f"double pendulum: {way.label}, learn"]
         draw = clock[f"double pendulum: {way.label}, sample {double_pendulum.NAME}"]

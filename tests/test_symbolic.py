@@ -30,7 +30,16 @@ def loop(x: jax.Array, y: jax.Array) -> jax.Array:
 FUNCTIONS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
     "arithmetic": lambda x, y: -x * 2.0 / (x + 3.0) ** 3 - y[0] ** 2.5 + 1.0 / jnp.sqrt(y[1]),
     "functions": lambda x, y: jnp.concatenate(
-        [jnp.tanh(x), jnp.exp(x), jnp.arctan2(x, x + 1.0), jnp.log1p(y), jnp.arcsin(y), jnp.cosh(x)]
+        [
+            jnp.tanh(x),
+            jnp.exp(x),
+            jnp.arctan2(x, x + 1.0),
+            jnp.log1p(y),
+            jnp.expm1(y),
+            jax.nn.sigmoid(x),
+            jnp.arcsin(y),
+            jnp.cosh(x),
+        ]
     ),
     "rounding": lambda x, y: jnp.concatenate(
         [x % 2.0, jnp.remainder(x, -1.5), jnp.floor(x), jnp.ceil(y), jnp.round(x), jnp.sign(x)]

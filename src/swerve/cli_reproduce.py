@@ -56,7 +56,10 @@ def reproduce(
       seed: Of everything random.
       as_json: Print one JSON object; human-walk alone.
     """
+    from swerve.arguments import whole_number
     from swerve.store import check_writable
+
+    seed = whole_number(seed, "--seed", 0)
 
     if data is not None and not data.exists():
         raise FileNotFoundError(f"--data {data}: no such file; check the path")
@@ -81,7 +84,7 @@ def reproduce(
 def _car(out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import car, car_figures
 
-    result = car.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
+    result = car.reproduce(out / WORK / "car", is_quick=is_quick, seed=seed, progress=True)
     print(car_figures.text(result))
     _write(out, car_figures, result)
 
@@ -89,7 +92,9 @@ def _car(out: Path, is_quick: bool, seed: int) -> None:
 def _double_pendulum(out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import double_pendulum, double_pendulum_figures
 
-    result = double_pendulum.reproduce(out / WORK, is_quick=is_quick, seed=seed, progress=True)
+    result = double_pendulum.reproduce(
+        out / WORK / "double-pendulum", is_quick=is_quick, seed=seed, progress=True
+    )
     print(double_pendulum_figures.text(result))
     _write(out, double_pendulum_figures, result)
 
@@ -97,7 +102,9 @@ def _double_pendulum(out: Path, is_quick: bool, seed: int) -> None:
 def _pendulum(data: Path | None, out: Path, is_quick: bool, seed: int) -> None:
     from swerve.reproduce import pendulum, pendulum_figures
 
-    result = pendulum.reproduce(out / WORK, data, is_quick=is_quick, seed=seed, progress=True)
+    result = pendulum.reproduce(
+        out / WORK / "pendulum", data, is_quick=is_quick, seed=seed, progress=True
+    )
     print(pendulum_figures.text(result))
     _write(out, pendulum_figures, result)
 
@@ -129,3 +136,7 @@ def _write(out: Path, figures: Any, result: Any) -> None:
 
     written = write(out, figures.parts(result), figures.tables(result))
     say(f"wrote {', '.join(path.name for path in written)} to {out}")
+    prefix = figures.__name__.rpartition(".")[2].removesuffix("figures")
+    others = sorted(path.name for path in out.glob(f"{prefix}*") if path not in written)
+    if others:
+        say(f"in {out}, but not of this run: {', '.join(others)}")

@@ -116,10 +116,12 @@ def _sources(
                 f"nominal: expected one that {' or '.join(ADAPTING_SOLVERS)} learned, got "
                 f"{getattr(adapting, 'name', nominal)!r}"
             )
-        if type(nominal.problem.mdp) is not type(constrained.mdp):
+        asked, learned = constrained.record, nominal.problem.record
+        told = [(one.mdp_digest, one.beta, one.measure) for one in (asked, learned)]
+        if told[0] != told[1]:
             raise ValueError(
-                f"nominal: expected one of {type(constrained.mdp).__name__}, got one of "
-                f"{type(nominal.problem.mdp).__name__}"
+                "nominal: expected one of the same MDP, beta and measure: "
+                f"{asked.summary}; got one of {learned.summary}"
             )
         return adapting.adapted(nominal, constrained, seed)
     if solver is None:

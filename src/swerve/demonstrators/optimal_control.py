@@ -284,7 +284,8 @@ class _Planner:
         if not (free.is_optimal and self._enters(free.path)):
             yield free
             return
-        if found and free.reward <= max(solution.reward for solution in found):
+        arriving = (one for one in found if self._missed(task, one.path) <= self._goal_tolerance)
+        if free.reward <= max((one.reward for one in arriving), default=-np.inf):
             return  # going around seldom makes it better than with nothing in the way
         for obstacle in self._near(free.path):
             for guess in obstacle.pushed(free.path):

@@ -343,4 +343,9 @@ def _seven_share(evidence: Evidence, made: list[Demonstration], seed: int) -> fl
     said = infer(evidence, made, tolerance=TOLERANCE).contributions
     num = min(SEVEN, len(made))
     sets = [generator.choice(len(made), num, replace=False) for _ in range(NUM_SETS)]
-    return float(np.mean([said[chosen].sum(axis=0).argmax() == TRUTH for chosen in sets]))
+    return float(np.mean([_leads(said[chosen].sum(axis=0)) for chosen in sets]))
+
+
+def _leads(score: np.ndarray) -> bool:
+    """Return whether the true region has a larger score [H] than every other."""
+    return bool(score[TRUTH] > np.delete(score, TRUTH).max())

@@ -24,20 +24,27 @@ class Clock:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        stored = store.read_json(path) if path.exists() else {"seconds": {}, "finished": []}
+        stored = store.read_json(path) if path.exists() else {"seconds": {}, "finished": {}}
         self.seconds: dict[str, float] = stored["seconds"]
-        self._finished: list[str] = stored["finished"]
+        self._finished: dict[str, str] = stored["finished"]
 
     @contextmanager
-    def timing(self, name: str) -> Iterator[None]:
-        """Add what the block takes to what is called so, unless it finished before."""
-        if name in self._finished:
+    def timing(self, name: str, of: str = "") -> Iterator[None]:
+        """Add what the block takes to what is called so, unless it finished before.
+
+        Args:
+          name: what it is called.
+          of: what it is done to; time begins anew where that is something else than before.
+        """
+        if self._finished.get(name) == of:
             yield
             return
+        if name in self._finished:
+            del self._finished[name], self.seconds[name]
         began = time.perf_counter()
         try:
             yield
-            self._finished.append(name)
+            self._finished[name] = of
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
             store.write_json(self._path, {"seconds": self.seconds, "finished": self._finished})

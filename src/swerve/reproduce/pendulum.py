@@ -29,7 +29,7 @@ from swerve.demonstrators.optimal_control import Search
 from swerve.hypotheses import unpack
 from swerve.reproduce.keeping import Keeping
 from swerve.reproduce.made import kept_optima, read_folder
-from swerve.reproduce.ranks import NOISE, Curve, Judged, curve
+from swerve.reproduce.ranks import Curve, Judged, curve, noise_of
 from swerve.reproduce.ways import (
     DISCRETE,
     GRID,
@@ -171,7 +171,7 @@ def reproduce(
             answers += infer_from(keeping, place, model(max_torque), way, num_each, sources)
     answers = best_tables(answers)
     compared = [
-        _exact(max_torque, violation, theirs, seed)
+        _exact(max_torque, violation, theirs, scale.num_trajectories, seed)
         for max_torque, violation in exact.items()
         if theirs is not None
     ]
@@ -208,14 +208,18 @@ def _exact_violation(data: Path, scale: Scale, theirs: Source) -> dict[float, np
     }
 
 
-def _exact(max_torque: float, violation: np.ndarray, theirs: Source, seed: int) -> Exact:
+def _exact(
+    max_torque: float, violation: np.ndarray, theirs: Source, num_trajectories: int, seed: int
+) -> Exact:
     """Return the curve by exact probabilities [D, H]."""
     problem, made = pendulum(between_states=False), theirs.demonstrations
     bits = [
         problem.hypotheses.violations(one.states[None], problem.mdp.space, False) for one in made
     ]
     entered = unpack(np.concatenate(bits), NUM_CELLS)
-    survival = np.maximum(1.0 - np.where(violation < NOISE, 0.0, violation), LEAST_SURVIVAL)
+    survival = np.maximum(
+        1.0 - np.where(violation < noise_of(num_trajectories), 0.0, violation), LEAST_SURVIVAL
+    )
     said = Judged(-np.log(survival), entered)
     drawn = curve(said, REAL_TRUTH, sizes_of(len(made)), seed=seed)
     return Exact(max_torque, violation, said.score.sum(axis=0), drawn)

@@ -96,7 +96,8 @@ def draw_ranks(panels: Sequence[Panel]) -> Figure:
             axes.plot(sizes, curve.rank, lw=1.1, label=label, zorder=3, **style)
             axes.fill_between(sizes, *curve.interval, color=style["color"], alpha=0.14, lw=0)
         axes.set_title(panel.title, fontsize=SIZE, loc="left", fontweight="bold")
-        _scales(axes, max(panel.lines[0].curve.sizes))
+        highest = max(line.curve.interval[1].max() for line in panel.lines)
+        _scales(axes, max(panel.lines[0].curve.sizes), highest)
     every[-1].set_xlabel("demonstrations", fontsize=SIZE)
     named = dict(
         pair[::-1] for axes in every for pair in zip(*axes.get_legend_handles_labels(), strict=True)
@@ -106,12 +107,12 @@ def draw_ranks(panels: Sequence[Panel]) -> Figure:
     return figure
 
 
-def _scales(axes: Axes, most: int) -> None:
+def _scales(axes: Axes, most: int, highest: float) -> None:
     """Give both axes plain numbers on a logarithmic scale."""
     size_scale(axes, most)
-    axes.set(yscale="log", ylim=(0.9, 60.0))
+    axes.set(yscale="log", ylim=(0.9, max(60.0, 1.1 * highest)))
     axes.set_ylabel("average rank of the truth", fontsize=SIZE)
-    ranks = (1, 2, 5, 10, 20, 50)
+    ranks = [rank for rank in (1, 2, 5, 10, 20, 50, 100) if rank <= axes.get_ylim()[1]]
     axes.set_yticks(ranks, labels=[str(rank) for rank in ranks])
     axes.yaxis.set_minor_locator(NullLocator())
 

@@ -19,9 +19,7 @@ from swerve.inference import Inference
 NUM_TRIALS = 200  # subsets of a size, as in the paper
 NUM_BOOTSTRAPS = 100  # sets of demonstrations drawn anew, with repetition
 Z = 1.96  # standard errors to either side, 95 %
-NOISE = 5e-4
-"""Violation probabilities below count as 0: five trajectories of 10,000, of which chance decides
-whether there are any."""
+NOISE = 5  # trajectories: where fewer enter, chance decides whether there are any
 
 
 class Judged(NamedTuple):
@@ -42,7 +40,8 @@ class Curve(NamedTuple):
     Attributes:
       sizes: [L] numbers of demonstrations.
       rank: [L] average over subsets.
-      error: [L] standard error of that, by bootstrap over the demonstrations.
+      error: [L] standard error of that, by bootstrap over the demonstrations; too large where
+        subsets hold more than a third of these, which resamples hold but in part.
       first: [L] share of the subsets in which the truth comes first, alone.
     """
 
@@ -57,7 +56,12 @@ class Curve(NamedTuple):
         return np.maximum(self.rank - Z * self.error, 1.0), self.rank + Z * self.error
 
 
-def judged(result: Inference, noise: float = NOISE) -> Judged:
+def noise_of(num_trajectories: int) -> float:
+    """Return the violation probability below which it counts as 0."""
+    return NOISE / num_trajectories
+
+
+def judged(result: Inference, noise: float) -> Judged:
     """Return what each demonstration of an inference adds to its score.
 
     Args:

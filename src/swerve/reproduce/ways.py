@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from swerve.demonstrations import Demonstration
 from swerve.inference import Inference, infer
 from swerve.reproduce.keeping import Keeping
-from swerve.reproduce.ranks import Curve, curve, judged
+from swerve.reproduce.ranks import Curve, curve, judged, noise_of
 from swerve.settings import Settings
 from swerve.solvers.tabular import TableNominal
 from swerve.space import Task
@@ -110,10 +111,12 @@ def infer_from(
         if isinstance(nominal, TableNominal):  # to the centres of its cells, as its authors do
             moved = [nominal.snapped(one) for one in moved]
         draw = f"{label}, sample {source.name}"
-        with clock.timing(draw):
-            evidence = work.evidence(Task.stack([one.task for one in moved]))
+        tasks = Task.stack([one.task for one in moved])
+        with clock.timing(draw, _mark(tasks)):
+            evidence = work.evidence(tasks)
         result = infer(evidence, moved, score=way.score)
-        drawn = curve(judged(result), source.truth, sizes_of(len(moved)), seed=keeping.seed)
+        said = judged(result, noise_of(num_trajectories))
+        drawn = curve(said, source.truth, sizes_of(len(moved)), seed=keeping.seed)
         seconds = clock.seconds[learn], clock.seconds[draw] / len(moved)
         found.append(Answer(source.name, model, way, drawn, result, *seconds))
     return found
@@ -137,6 +140,11 @@ def best_tables(answers: list[Answer]) -> list[Answer]:
 def answers_of(answers: Sequence[Answer], source: str, model: str) -> list[Answer]:
     """Return the answers about some demonstrations by one model."""
     return [one for one in answers if one.source == source and one.model == model]
+
+
+def _mark(tasks: Task) -> str:
+    """Return what tells tasks from others."""
+    return f"{zlib.crc32(tasks.start.tobytes() + tasks.goal.tobytes()):08x}"
 
 
 def _average(answer: Answer) -> float:

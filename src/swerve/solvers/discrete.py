@@ -61,7 +61,13 @@ class Discrete:
             whole_number(self.num_cells, "Discrete: num_cells", 0)
         whole_number(self.hold, "Discrete: hold", 0)
         for name in ("low", "high"):  # a file may hold them as lists
-            object.__setattr__(self, name, tuple(float(x) for x in getattr(self, name)))
+            values = getattr(self, name)
+            if not isinstance(values, Iterable) or not all(map(np.isfinite, values)):
+                raise ValueError(
+                    f"Discrete: {name}: expected a finite number for each state, or none for the "
+                    f"bounds of the MDP, got {values!r}"
+                )
+            object.__setattr__(self, name, tuple(float(x) for x in values))
         if self.rule not in RULES:
             raise ValueError(f"Discrete: rule: expected one of {RULES}, got {self.rule!r}")
 
