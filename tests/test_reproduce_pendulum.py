@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def test_an_interrupted_one_goes_on(
     assert run(*command("whole"))[0] == 0
     optima, work = made.first_optima, tmp_path / "cut" / "work" / "pendulum" / "quick.seed0"
 
-    def once(*arguments: object, **settings: object) -> object:
+    def once(*arguments: Any, **settings: Any) -> Any:
         if (work / "C1").exists():
             raise KeyboardInterrupt
         return optima(*arguments, **settings)
@@ -102,7 +103,7 @@ def test_an_interrupted_one_goes_on(
     sampled = sampling.sample_each
     calls = []
 
-    def twice(*arguments: object, **settings: object) -> object:
+    def twice(*arguments: Any, **settings: Any) -> Any:
         calls.append(arguments)
         if len(calls) == 2:
             raise KeyboardInterrupt
