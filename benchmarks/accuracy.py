@@ -38,13 +38,13 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, sample
-from swerve.estimators import kl_divergence
-from swerve.inference import SCORES
-from swerve.reproduce.pendulum import LEAST_SURVIVAL, read_violation
+from swerve.evidence.estimators import kl_divergence
+from swerve.evidence.samples import METHODS, REWEIGHED, summarise
+from swerve.inference.ranking import SCORES
+from swerve.problem.loading import Specification, load_problem
+from swerve.reproduce.pendulum.measure import LEAST_SURVIVAL, read_violation
 from swerve.reproduce.ranks import NOISE, Judged, ranks
-from swerve.samples import METHODS, REWEIGHED, summarise
-from swerve.specification import Specification, load_problem
-from swerve.work import RESULTS, Settings, Work
+from swerve.work.work import RESULTS, Settings, Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
 NUM_SUBSETS = 2_000

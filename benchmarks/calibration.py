@@ -36,12 +36,12 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import Demonstration, Evidence, Problem, Task, infer, learn, sample
-from swerve.estimators import normalise
-from swerve.hypotheses import unpack
-from swerve.nominal import ExactNominal
-from swerve.progress import progress_bar
-from swerve.specification import load_problem
-from swerve.tasks import draw_tasks
+from swerve.base.progress import progress_bar
+from swerve.evidence.estimators import normalise
+from swerve.hypotheses.base import unpack
+from swerve.problem.loading import load_problem
+from swerve.problem.tasks import draw_tasks
+from swerve.solvers.learn import ExactNominal
 
 PROBLEMS = {"pendulum": "pendulum?max_torque=10", "gridworld": "gridworld"}
 NUM_TASKS = 12

@@ -25,8 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import Demonstration, Discrete, Problem, infer, load_problem, sample
-from swerve.progress import progress_bar
-from swerve.reproduce.pendulum import read_violation
+from swerve.base.progress import progress_bar
+from swerve.reproduce.pendulum.measure import read_violation
 
 CELLS = (30, 60, 120)  # along each axis
 HOLDS = (3, 6, 12, 20)  # steps of 1/60 s

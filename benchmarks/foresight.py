@@ -32,12 +32,12 @@ from rich.console import Console
 from rich.table import Table
 
 import swerve
-from swerve.continuation import continued
-from swerve.demonstrations import Demonstration
-from swerve.foresight import Foreseer, Foresight
-from swerve.look_ahead import ValuedPolicy
-from swerve.nominal import PolicyNominal
-from swerve.resolving import AdaptingSolver
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.monitoring.foresight import Foreseer, Foresight
+from swerve.sampling.resolve import AdaptingSolver
+from swerve.simulation.continuation import continued
+from swerve.simulation.policies import ValuedPolicy
+from swerve.solvers.learn import PolicyNominal
 
 TRUTH = 55
 OPEN = -0.05  # nats: above this the exact log P leaves next to nothing to be foreseen

@@ -22,22 +22,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve import (
-    Demonstration,
-    Evidence,
-    Inference,
-    Task,
-    best_pair,
-    estimators,
-    greedy,
-    grid,
-    infer,
-)
-from swerve.hypotheses import enters_set, pack_sets
-from swerve.problem import ProblemRecord
-from swerve.samples import Samples, summarise
-from swerve.selection import TIED, Pick
-from swerve.space import StateSpace
+from swerve import Demonstration, Evidence, Inference, Task, best_pair, greedy, grid, infer
+from swerve.base.space import StateSpace
+from swerve.evidence import estimators
+from swerve.evidence.samples import Samples, summarise
+from swerve.hypotheses.base import enters_set, pack_sets
+from swerve.inference.greedy import TIED, Pick
+from swerve.problem.problem import ProblemRecord
 
 NUM_PICKS = 10
 NUM_STEPS = 120

@@ -21,10 +21,17 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import windows
-from swerve.problem import Problem
-from swerve.reproduce.human_tracks import Room, Tracks, read_room, read_tracks
-from swerve.reproduce.human_walk import OVERLAP, WIDTH, answer_at, centre, problem_of, squares
-from swerve.solvers.soft_paths import SoftPaths
+from swerve.problem.problem import Problem
+from swerve.reproduce.human_walk.measure import (
+    OVERLAP,
+    WIDTH,
+    answer_at,
+    centre,
+    problem_of,
+    squares,
+)
+from swerve.reproduce.human_walk.tracks import Room, Tracks, read_room, read_tracks
+from swerve.solvers.exact.soft_paths import SoftPaths
 
 OBSTACLE = (0.69, 0.52)  # m, the centre of the one of the THOR recordings
 WALLS = (0.0, 0.1)  # m; 0.2 unless changed

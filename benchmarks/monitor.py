@@ -28,13 +28,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from swerve.evidence import Evidence
-from swerve.foresight import Foresight, Inputs, hidden_sizes
-from swerve.grids import grid
-from swerve.monitor import Monitor
-from swerve.problem import ProblemRecord
-from swerve.samples import Samples, summarise
-from swerve.space import TWO_PI, StateSpace, Task
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.samples import Samples, summarise
+from swerve.hypotheses.grid import grid
+from swerve.monitoring.foresight import Foresight, Inputs, hidden_sizes
+from swerve.monitoring.monitor import Monitor
+from swerve.problem.problem import ProblemRecord
 
 WARM_UP = 1000
 QUANTILES = (0.5, 0.99, 0.999)
@@ -142,9 +142,9 @@ def lateness(seconds: float) -> np.ndarray:
         evidence.save(Path(folder) / "a.evidence")
         foresight.save(Path(folder) / "a.foresight")
         code = (
-            "import sys; from pathlib import Path; from swerve.evidence import Evidence\n"
-            "from swerve.foresight import Foresight; from swerve.space import Task\n"
-            "from swerve.watch import Watch, watch\n"
+            "import sys; from pathlib import Path; from swerve.evidence.evidence import Evidence\n"
+            "from swerve.monitoring.foresight import Foresight; from swerve.base.space import Task\n"
+            "from swerve.cli.watch import Watch, watch\n"
             f"evidence = Evidence.load({str(Path(folder) / 'a.evidence')!r})\n"
             f"found = Foresight.load({str(Path(folder) / 'a.foresight')!r}, evidence.problem)\n"
             "task = Task(evidence.tasks.start[0], evidence.tasks.goal[0])\n"

@@ -27,10 +27,10 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import Demonstration, Evidence, Task, infer, read_demonstrations
-from swerve.progress import progress_bar
-from swerve.settings import Settings
-from swerve.specification import load_problem
-from swerve.work import Work
+from swerve.base.progress import progress_bar
+from swerve.problem.loading import load_problem
+from swerve.work.settings import Settings
+from swerve.work.work import Work
 
 SIZES = (1, 2, 3, 5, 8, 12, 16, 20, 25, 30)
 QUANTILES = (0.1, 0.5, 0.9)

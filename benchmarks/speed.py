@@ -29,13 +29,13 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, grid, learn, sample
-from swerve.demo import FOLDER, PROBLEM
-from swerve.drawing import CHUNK
-from swerve.solvers.grid import GridNominal
-from swerve.solvers.ppo_training import Trainer
-from swerve.solvers.training import TrainedNominal
-from swerve.specification import load_problem
-from swerve.trajectory import rollout
+from swerve.cli.demo import FOLDER, PROBLEM
+from swerve.problem.loading import load_problem
+from swerve.sampling.one_task import CHUNK
+from swerve.simulation.trajectory import rollout
+from swerve.solvers.grid.grid import GridNominal
+from swerve.solvers.trained.ppo_training import Trainer
+from swerve.solvers.trained.training import TrainedNominal
 
 REPEATS = 5
 

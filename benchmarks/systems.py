@@ -40,9 +40,9 @@ from swerve import (
     sample,
     save_nominal,
 )
-from swerve.estimators import NothingLeftError
-from swerve.tasks import draw_tasks
-from swerve.tempering import TemperingError
+from swerve.evidence.estimators import NothingLeftError
+from swerve.problem.tasks import draw_tasks
+from swerve.sampling.tempering import TemperingError
 
 NUM_TASKS = 8
 COARSE_STEPS = 2_000_000

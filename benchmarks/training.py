@@ -28,12 +28,12 @@ from accuracy import NUM_REFERENCE, print_rows
 from rich.console import Console
 
 from swerve import PPO, Grid, Problem, SoftValue, Task, learn, read_demonstrations, sample
-from swerve.estimators import kl_divergence
-from swerve.reproduce.pendulum import read_violation
-from swerve.solvers.training import NUM_CHUNKS, TrainedNominal, TrainingSolver
-from swerve.solvers.training_run import Progress, Run
-from swerve.specification import load_problem
-from swerve.training_plot import LEAST, finish, log_scale, time_unit
+from swerve.evidence.estimators import kl_divergence
+from swerve.problem.loading import load_problem
+from swerve.reproduce.pendulum.measure import read_violation
+from swerve.solvers.trained.history_plot import LEAST, finish, log_scale, time_unit
+from swerve.solvers.trained.run import Progress, Run
+from swerve.solvers.trained.training import NUM_CHUNKS, TrainedNominal, TrainingSolver
 
 SOLVERS: tuple[TrainingSolver, ...] = (SoftValue(), PPO())
 TIMED = 20  # iterations that are timed, after as many others

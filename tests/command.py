@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swerve.space import TWO_PI, StateSpace
+from swerve.base.space import TWO_PI, StateSpace
 
 ROBOT = """
 import math

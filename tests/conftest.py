@@ -14,7 +14,8 @@ import pytest
 from command import CONSTRAINT, ROBOT, Run
 from hypothesis import settings
 
-from swerve import cli, cli_making
+from swerve.cli import app
+from swerve.cli import demonstrate as demonstrate_command
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -76,7 +77,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         monkeypatch.setattr(sys, "argv", ["swerve", *map(str, arguments)])
         monkeypatch.setattr(os, "_exit", sys.exit)  # which would end the tests
         try:
-            cli.main()
+            app.main()
             status = 0
         except SystemExit as stop:
             status = stop.code if isinstance(stop.code, int) else 1
@@ -93,7 +94,7 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     (folder / "robot.py").write_text(ROBOT)
     (folder / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
     sys.modules.pop("neighbour", None)
-    cli_making.demonstrate(
+    demonstrate_command.demonstrate(
         f"{folder}/robot.py:problem", constraint=CONSTRAINT, num=4, out=folder / "out"
     )
     return sorted((folder / "out").glob("demo_*.csv"))

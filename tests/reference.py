@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve import MDP, Pendulum, Problem, Task, grid
-from swerve.constraints import violates
-from swerve.hypotheses import unpack
-from swerve.space import Actions
+from swerve.base.space import Actions
+from swerve.constraints.base import violates
+from swerve.hypotheses.base import unpack
 
 
 class Exact(NamedTuple):

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from swerve import MDP, Box, Problem, Task
-from swerve.solvers.tabular import Tabular
+from swerve.solvers.exact.tabular import Tabular
 from swerve.systems.tabular import NOWHERE, TabularMDP
 
 NUM_STEPS = 8

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from swerve.demonstrations import Demonstration
-from swerve.evidence import Evidence
-from swerve.grids import grid
-from swerve.hypotheses import HypothesisSet
-from swerve.problem import ProblemRecord
-from swerve.samples import Samples, summarise
-from swerve.space import TWO_PI, StateSpace, Task
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.samples import Samples, summarise
+from swerve.hypotheses.base import HypothesisSet
+from swerve.hypotheses.grid import grid
+from swerve.problem.problem import ProblemRecord
 
 SPACE = StateSpace(("theta", "x"), ("theta",), np.array([[0.0, TWO_PI], [0.0, 10.0]]))
 TASKS = Task(

@@ -42,18 +42,18 @@ from swerve import (
     Task,
     Union,
     demonstrate,
-    estimators,
     greedy,
     infer,
     learn,
     sample,
 )
-from swerve.constraints import violates
-from swerve.hypotheses import unpack
-from swerve.nominal import Solver
-from swerve.samples import METHODS, NUM_KEPT
-from swerve.solvers.enumeration import Enumeration, EnumerationNominal
-from swerve.solvers.tabular import TableNominal
+from swerve.constraints.base import violates
+from swerve.evidence import estimators
+from swerve.evidence.samples import METHODS, NUM_KEPT
+from swerve.hypotheses.base import unpack
+from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal
+from swerve.solvers.exact.tabular import TableNominal
+from swerve.solvers.learn import Solver
 from swerve.systems.gridworld import MOVES, cell_box, move_box
 
 STANDARD_ERRORS = 4.5

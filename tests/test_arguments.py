@@ -10,8 +10,8 @@ from reference import CART_TASK, short_cart
 from synthetic import make_evidence
 
 import swerve
-from swerve.arguments import whole_number
-from swerve.solvers.grid import Grid
+from swerve.base.arguments import whole_number
+from swerve.solvers.grid.grid import Grid
 
 PROBLEM = short_cart()
 GRID = Grid(num_points=21)

@@ -12,9 +12,9 @@ from synthetic import SPACE
 
 import swerve
 from swerve import ActionBox, Ball, Box, HalfSpace, Polygon, StateAction, Union
-from swerve.constraints import check_constraints
-from swerve.hypotheses import ConstraintHypotheses
-from swerve.occupancy import Occupancy
+from swerve.constraints.base import check_constraints
+from swerve.constraints.occupancy import Occupancy
+from swerve.hypotheses.base import ConstraintHypotheses
 
 SQUARE = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]
 FREE = np.zeros((2, 3), bool)

@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from synthetic import make_demonstration, make_evidence
 
 from swerve import infer, plot_contributions
-from swerve.inference import Inference
+from swerve.inference.ranking import Inference
 
 
 def from_demonstrations(tolerance: float, num: int = 6) -> Inference:

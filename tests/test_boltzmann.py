@@ -22,9 +22,9 @@ from swerve import (
     grid,
     learn,
 )
-from swerve.constraints import violates
-from swerve.hypotheses import unpack
-from swerve.tasks import draw_tasks
+from swerve.constraints.base import violates
+from swerve.hypotheses.base import unpack
+from swerve.problem.tasks import draw_tasks
 
 WALL = Box(x=(-0.2, 0.3), v=(-0.9, 0.1))
 GRID = Grid(num_points=81)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swerve import Car, Problem, Task, grid, infer, learn, sample
-from swerve.demonstrations import Demonstration
+from swerve.demonstrations.demonstration import Demonstration
 from swerve.systems.car import car
 
 

@@ -15,8 +15,9 @@ import pytest
 from command import CONSTRAINT, ROBOT, SOLVER, Run, infer
 
 import swerve
-from swerve import cli, store
-from swerve.solvers import checkpoints
+from swerve.base import store
+from swerve.cli import app as cli
+from swerve.solvers.trained import checkpoints
 
 
 def test_from_demonstrations_to_a_ranking(
@@ -169,7 +170,7 @@ def test_nothing_is_said_to_go_on_without_a_work_folder(
     def interrupted(*arguments, **settings):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("swerve.sampling.sample_each", interrupted)
+    monkeypatch.setattr("swerve.sampling.sample.sample_each", interrupted)
     status, _, said = run("infer", robot, demonstrations[0], "--solver", SOLVER)
     assert status == 130
     assert said.endswith("interrupted\n")

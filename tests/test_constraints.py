@@ -15,17 +15,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from swerve.boxes import ActionBox, Box
-from swerve.constraints import (
-    Constraint,
-    Predicate,
-    Union,
-    check_constraints,
-    violates,
-)
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses, constraint_from_json
-from swerve.space import TWO_PI, Actions, StateSpace
+from swerve.base.space import TWO_PI, Actions, StateSpace
+from swerve.constraints.base import Constraint, Predicate, Union, check_constraints, violates
+from swerve.constraints.boxes import ActionBox, Box
+from swerve.hypotheses.base import ConstraintHypotheses, constraint_from_json
+from swerve.hypotheses.grid import grid
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))

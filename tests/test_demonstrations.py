@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from swerve.demonstrations import (
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.demonstrations.checks import START_TOLERANCE, check_states
+from swerve.demonstrations.demonstration import (
     Demonstration,
     read_demonstrations,
     read_tasks,
     write_demonstrations,
 )
-from swerve.space import TWO_PI, StateSpace, Task
-from swerve.state_checks import START_TOLERANCE, check_states
 
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
 PLANE = StateSpace(("x", "y"), (), np.array([[0.0, 10.0], [-2.0, 2.0]]))

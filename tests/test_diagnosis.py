@@ -14,13 +14,13 @@ from synthetic import (
     make_record,
 )
 
-from swerve.demonstrations import Demonstration
-from swerve.diagnosis import doubts
-from swerve.evidence import Evidence
-from swerve.grids import grid
-from swerve.inference import infer
-from swerve.space import Task
-from swerve.trust import some_names
+from swerve.base.space import Task
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.grid import grid
+from swerve.inference.ranking import infer
+from swerve.trust.doubts import doubts
+from swerve.trust.verdicts import some_names
 
 DURATION = 0.5  # s, of the model's episodes: 5 steps of 0.1 s
 

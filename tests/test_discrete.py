@@ -23,9 +23,9 @@ from swerve import (
     learn,
     sample,
 )
-from swerve.solvers.discrete import Cells
-from swerve.solvers.tabular import TableNominal
-from swerve.space import TWO_PI, StateSpace
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.solvers.exact.discrete import Cells
+from swerve.solvers.exact.tabular import TableNominal
 
 SPACE = StateSpace(("theta", "x"), ("theta",), np.array([[0.0, TWO_PI], [-2.0, 2.0]]))
 

@@ -13,11 +13,11 @@ from test_smc import assert_within_errors
 from training import Interrupted, assert_resumes, weights
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
-from swerve.settings import Settings
-from swerve.solvers.distilled_training import DirectPolicy
-from swerve.solvers.soft_value_training import Trainer as SoftValueTrainer
-from swerve.solvers.training import TrainedNominal
-from swerve.work import Work
+from swerve.solvers.trained.distilled_training import DirectPolicy
+from swerve.solvers.trained.soft_value_training import Trainer as SoftValueTrainer
+from swerve.solvers.trained.training import TrainedNominal
+from swerve.work.settings import Settings
+from swerve.work.work import Work
 
 PROBLEM = short_cart()
 TEACHER_SETTINGS = {"num_steps": 600_000, "num_lanes": 256, "segment": 8, "num_minibatches": 2}
@@ -84,7 +84,7 @@ def test_the_teacher_is_kept_when_learning_is_interrupted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "distilled.checkpoint"
-    monkeypatch.setattr("swerve.solvers.distilled.SoftValue", lambda: SMALL_TEACHER)
+    monkeypatch.setattr("swerve.solvers.trained.distilled.SoftValue", lambda: SMALL_TEACHER)
 
     def interrupted(*arguments: object, **settings: object) -> None:
         raise Interrupted

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swerve import Ball, Box, Car
-from swerve.constraints import violates
+from swerve.constraints.base import violates
 from swerve.demonstrators.driver import drives
 
 CAR = Car()

@@ -25,13 +25,13 @@ from synthetic import (
 from test_constraints import meets_exactly
 
 from swerve import Box, Problem, Task, grid, hoeffding_error, infer
-from swerve.demonstrations import Demonstration
-from swerve.estimators import avoid_probability
-from swerve.evidence import Evidence
-from swerve.grids import GridHypotheses
-from swerve.hypotheses import ConstraintHypotheses, unpack
-from swerve.space import TWO_PI, StateSpace
-from swerve.specification import _is_user_source
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.estimators import avoid_probability
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.base import ConstraintHypotheses, unpack
+from swerve.hypotheses.grid import GridHypotheses
+from swerve.problem.loading import _is_user_source
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))

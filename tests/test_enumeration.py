@@ -38,14 +38,14 @@ from swerve import (
     sample,
     save_nominal,
 )
-from swerve.exact import ExactAnswer
-from swerve.hypotheses import unpack
-from swerve.nominal import ExactNominal, Solver
-from swerve.samples import NUM_KEPT
-from swerve.solvers import enumeration
-from swerve.solvers.enumeration import Enumeration, EnumerationNominal
-from swerve.space import Actions
-from swerve.trajectory import take_step
+from swerve.base.space import Actions
+from swerve.evidence.exact import ExactAnswer
+from swerve.evidence.samples import NUM_KEPT
+from swerve.hypotheses.base import unpack
+from swerve.simulation.trajectory import take_step
+from swerve.solvers.exact import enumeration
+from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal
+from swerve.solvers.learn import ExactNominal, Solver
 
 STANDARD_ERRORS = 4.5
 FAST = Task(np.array([0.9, 0.6]), np.array([-0.5, 0.0]))  # a third of the time off the track

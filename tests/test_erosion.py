@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from swerve import ActionBox, Ball, Box, HalfSpace, Polygon, Predicate, StateAction, Union, grid
-from swerve.constraints import Constraint
-from swerve.grid_axis import GridAxis
-from swerve.hypotheses import HypothesisSet
-from swerve.sliding import windows
-from swerve.space import TWO_PI, StateSpace
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.constraints.base import Constraint
+from swerve.hypotheses.base import HypothesisSet
+from swerve.hypotheses.grid_axis import GridAxis
+from swerve.hypotheses.windows import windows
 
 SPACE = StateSpace(("theta", "x", "y"), ("theta",), np.array([[0.0, TWO_PI], [-4, 4], [-4, 4]]))
 MARGIN = 0.3

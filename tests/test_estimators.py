@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from swerve.estimators import (
+from swerve.evidence.estimators import (
     BLOCK,
     avoid_probability,
     effective_sample_size,
@@ -20,7 +20,7 @@ from swerve.estimators import (
     normalise,
     parts,
 )
-from swerve.hypotheses import unpack
+from swerve.hypotheses.base import unpack
 
 seeds = st.integers(0, 2**32 - 1)
 STANDARD_ERRORS = 4.5

@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import SPACE, TASKS, evidence_of_columns, make_evidence, make_record, make_samples
 
-from swerve import estimators
-from swerve.boxes import Box
-from swerve.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses, unpack
-from swerve.samples import summarise
-from swerve.space import TWO_PI, StateSpace, Task
-from swerve.store import StoreError, open_file
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.base.store import StoreError, open_file
+from swerve.constraints.boxes import Box
+from swerve.evidence import estimators
+from swerve.evidence.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence
+from swerve.evidence.samples import summarise
+from swerve.hypotheses.base import ConstraintHypotheses, unpack
+from swerve.hypotheses.grid import grid
 
 PARTS = ("tasks", "summary", "samples")
 PROPERTIES = (
@@ -252,7 +252,7 @@ class TestFiles:
             assert stored.header["problem"]["beta"] == 0.5
 
     def test_another_kind_is_refused(self, tmp_path: Path) -> None:
-        from swerve import store
+        from swerve.base import store
 
         store.write(tmp_path / "a.evidence", "swerve-nominal", 1, {}, {})
         with pytest.raises(StoreError, match="expected a file of kind 'swerve-evidence'"):

@@ -9,9 +9,9 @@ from synthetic import make_evidence
 
 import swerve
 from swerve import ActionBox, Pendulum, Problem, Task
-from swerve.foresight import Foresight
-from swerve.nominal import Nominal
-from swerve.store import StoreError
+from swerve.base.store import StoreError
+from swerve.monitoring.foresight import Foresight
+from swerve.solvers.learn import Nominal
 
 NEAR = [((2.5, 0.5), 0), ((3.2, 1.0), 2), ((3.6, 0.0), 4), ((4.4, 1.2), 5)]
 FAR = [((3.0, -1.5), 3), ((1.0, 2.0), 1)]  # from where nominal trajectories pass

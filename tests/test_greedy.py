@@ -20,9 +20,9 @@ from synthetic import (
 )
 
 from swerve import Box, Demonstration, Evidence, Inference, Task, greedy, grid, infer
-from swerve.hypotheses import ConstraintHypotheses, unpack
-from swerve.selection import Pick
-from swerve.space import TWO_PI
+from swerve.base.space import TWO_PI
+from swerve.hypotheses.base import ConstraintHypotheses, unpack
+from swerve.inference.greedy import Pick
 
 NUM_TASKS, NUM_HYPOTHESES = 3, 12
 

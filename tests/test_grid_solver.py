@@ -18,8 +18,8 @@ from reference import (
 )
 
 from swerve import MDP, Box, Grid, Pendulum, Predicate, Problem, Task, grid, infer, learn, sample
-from swerve.solvers.grid import GridNominal, GridPolicy
-from swerve.trust import VALUE_GAP
+from swerve.solvers.grid.grid import GridNominal, GridPolicy
+from swerve.trust.verdicts import VALUE_GAP
 
 STANDARD_ERRORS = 4.5
 

@@ -15,14 +15,23 @@ import pytest
 from command import Run
 from matplotlib.image import imread, imsave
 
-from swerve.occupancy import Occupancy
-from swerve.posterior import posterior
-from swerve.reproduce import files, human_beta, human_walk, human_walk_figures
-from swerve.reproduce.human_tracks import read_room, read_tracks
-from swerve.reproduce.human_walk import Result
-from swerve.sliding import windows
-from swerve.solvers.soft_paths import SoftPaths
-from swerve.space import Task
+from swerve.base.space import Task
+from swerve.constraints.occupancy import Occupancy
+from swerve.hypotheses.windows import windows
+from swerve.inference.posterior import posterior
+from swerve.reproduce import files
+from swerve.reproduce.human_walk import (
+    beta as human_beta,
+)
+from swerve.reproduce.human_walk import (
+    figures as human_walk_figures,
+)
+from swerve.reproduce.human_walk import (
+    measure as human_walk,
+)
+from swerve.reproduce.human_walk.measure import Result
+from swerve.reproduce.human_walk.tracks import read_room, read_tracks
+from swerve.solvers.exact.soft_paths import SoftPaths
 
 SIDE, CELL, CORNER = 6.0, 0.05, (-1.0, 2.0)  # m
 BETA = 11.0

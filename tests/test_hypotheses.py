@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swerve.boxes import Box
-from swerve.constraints import Predicate, violates
-from swerve.grids import GridHypotheses, grid
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, hypotheses_from_json, unpack
-from swerve.space import TWO_PI, StateSpace
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.constraints.base import Predicate, violates
+from swerve.constraints.boxes import Box
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, hypotheses_from_json, unpack
+from swerve.hypotheses.grid import GridHypotheses, grid
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))

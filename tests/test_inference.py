@@ -16,12 +16,12 @@ from synthetic import (
     make_samples,
 )
 
-from swerve.demonstrations import Demonstration
-from swerve.evidence import Evidence
-from swerve.grids import grid
-from swerve.hypotheses import unpack
-from swerve.inference import Inference, infer
-from swerve.space import TWO_PI, Task
+from swerve.base.space import TWO_PI, Task
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.base import unpack
+from swerve.hypotheses.grid import grid
+from swerve.inference.ranking import Inference, infer
 
 CELLS = grid(x=(0.0, 10.0, 10))  # hypothesis k: k <= x < k + 1; the tasks start in 1, 5 and 9
 seeds = st.integers(0, 2**32 - 1)

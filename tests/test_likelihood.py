@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swerve import likelihood
-from swerve.grids import grid
-from swerve.inference import infer
+from swerve.hypotheses.grid import grid
+from swerve.inference import likelihood
+from swerve.inference.ranking import infer
 from tests.synthetic import evidence_of_columns, make_demonstration
 
 CELLS = grid(x=(0.0, 10.0, 5))

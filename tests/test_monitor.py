@@ -10,13 +10,13 @@ import pytest
 from synthetic import SPACE, TASKS, make_demonstration, make_evidence, make_record
 
 from swerve import ActionBox, Box, Monitor, Predicate, Task, infer
-from swerve.evidence import Evidence
-from swerve.foresight import Ahead
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, unpack
-from swerve.monitor import AGREEMENT
-from swerve.space import TWO_PI, StateSpace
-from swerve.stepwise import stepwise
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, unpack
+from swerve.hypotheses.grid import grid
+from swerve.hypotheses.stepwise import stepwise
+from swerve.monitoring.foresight import Ahead
+from swerve.monitoring.monitor import AGREEMENT
 
 TASK = Task(TASKS.start[0], TASKS.goal[0])
 START = TASKS.start[0].tolist()
@@ -382,6 +382,6 @@ def test_memory_does_not_grow() -> None:
 
 
 def test_it_needs_no_jax() -> None:
-    code = "import sys, swerve; swerve.Monitor, swerve.Foresight; import swerve.watch; "
+    code = "import sys, swerve; swerve.Monitor, swerve.Foresight; import swerve.cli.watch; "
     code += "assert 'jax' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -12,11 +12,11 @@ from test_monitor import Known
 
 import swerve
 from swerve import Ball, Box, Demonstration, HalfSpace, Monitor, Task, infer
-from swerve.evidence import Evidence
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses
-from swerve.monitor import REPEATED, Belief
-from swerve.space import TWO_PI
+from swerve.base.space import TWO_PI
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.grid import grid
+from swerve.monitoring.monitor import REPEATED, Belief
 
 CELLS = grid(theta=(0.0, TWO_PI, 5), x=(0.0, 10.0, 4))
 SHAPES = ConstraintHypotheses(

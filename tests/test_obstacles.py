@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swerve import ActionBox, Ball, Box, HalfSpace, Polygon, StateAction, Union
-from swerve.constraints import Constraint, Predicate
+from swerve.base.space import TWO_PI, Actions, StateSpace
+from swerve.constraints.base import Constraint, Predicate
+from swerve.constraints.polygons import encloses, triangles
 from swerve.demonstrators.obstacles import UNUSED, Obstacle, Path, obstacles_of
-from swerve.polygons import encloses, triangles
-from swerve.space import TWO_PI, Actions, StateSpace
 
 SPACE = StateSpace(("theta", "x", "y"), ("theta",), np.array([[0.0, TWO_PI], [-4, 4], [-4, 4]]))
 UNIT = np.array([TWO_PI, 8.0, 8.0, 2.0])

@@ -26,10 +26,10 @@ from swerve import (
     grid,
     optimal_control,
 )
-from swerve.constraints import Constraint, violates
+from swerve.base.space import Actions
+from swerve.constraints.base import Constraint, violates
 from swerve.demonstrators import optimal_control as module
 from swerve.demonstrators.transcription import Transcription
-from swerve.space import Actions
 from swerve.systems.pendulum import pendulum
 
 FREE = (-np.inf, np.inf)

@@ -14,8 +14,9 @@ from synthetic import evidence_of_columns, make_demonstration
 from test_greedy import NUM_HYPOTHESES, Plain, made_up
 from test_selection import PROBLEM, ROUND, TASK
 
-from swerve import Inference, Pair, best_pair, greedy, grid, infer, learn, pairs, sample
-from swerve.solvers.tabular import TableNominal
+from swerve import Inference, Pair, best_pair, greedy, grid, infer, learn, sample
+from swerve.inference import pairs
+from swerve.solvers.exact.tabular import TableNominal
 
 
 def log_likelihood(inference: Inference, pair: tuple[int, int]) -> float:

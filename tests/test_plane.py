@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from synthetic import SPACE, make_record
 
-from swerve.boxes import Box
-from swerve.constraints import Predicate
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json
-from swerve.plane import Path, Plane, plane_of, runs
-from swerve.space import TWO_PI, StateSpace
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.constraints.base import Predicate
+from swerve.constraints.boxes import Box
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, constraint_from_json
+from swerve.hypotheses.grid import grid
+from swerve.presentation.plane import Path, Plane, plane_of, runs
 
 FLAT = StateSpace(("x", "y", "v"), (), np.array([[0.0, 10.0], [-5.0, 5.0], [-1.0, 3.0]]))
 TORUS = StateSpace(("a", "b"), ("a", "b"), np.array([[0.0, TWO_PI], [-np.pi, np.pi]]))

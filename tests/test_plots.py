@@ -26,29 +26,22 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import (
-    Gridworld,
-    Problem,
-    learn,
-    picture,
-    plots,
-    polygons,
-    sample,
-    shading,
-    windows,
-    wording,
-)
-from swerve.boxes import ActionBox, Box
-from swerve.constraints import Predicate
-from swerve.demonstrations import Demonstration
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses, HypothesisSet, constraint_from_json
-from swerve.inference import Inference, infer
-from swerve.plane import plane_of
-from swerve.plots import plot_inference, plot_posterior, plot_ranking
-from swerve.shapes import Ball, HalfSpace
-from swerve.space import TWO_PI, Task
-from swerve.state_action import StateAction
+from swerve import Gridworld, Problem, learn, sample, windows
+from swerve.base.space import TWO_PI, Task
+from swerve.constraints import polygons
+from swerve.constraints.base import Predicate
+from swerve.constraints.boxes import ActionBox, Box
+from swerve.constraints.shapes import Ball, HalfSpace
+from swerve.constraints.state_action import StateAction
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, constraint_from_json
+from swerve.hypotheses.grid import grid
+from swerve.inference.ranking import Inference, infer
+from swerve.presentation import plane_picture as picture
+from swerve.presentation import plots, shading
+from swerve.presentation import sentences as wording
+from swerve.presentation.plane import plane_of
+from swerve.presentation.plots import plot_inference, plot_posterior, plot_ranking
 
 CELLS = grid(theta=(0.0, TWO_PI, 4), x=(0.0, 9.0, 3))
 

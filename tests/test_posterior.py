@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swerve.grids import grid
-from swerve.inference import infer
-from swerve.posterior import (
+from swerve.hypotheses.grid import grid
+from swerve.inference.posterior import (
     Posterior,
     checked_prior,
     credible_set,
@@ -21,6 +20,7 @@ from swerve.posterior import (
     log_bayes_factor,
     posterior,
 )
+from swerve.inference.ranking import infer
 from tests.synthetic import evidence_of_columns, make_demonstration, make_evidence
 
 CELLS = grid(x=(0.0, 9.0, 4))

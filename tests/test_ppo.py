@@ -13,21 +13,12 @@ import pytest
 from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
 from training import assert_resumes
 
-from swerve import (
-    PPO,
-    Box,
-    Problem,
-    Task,
-    learn,
-    load_nominal,
-    sample,
-    save_nominal,
-)
-from swerve.estimators import kl_divergence
-from swerve.solvers import losses
-from swerve.solvers.lanes import fresh_lanes
-from swerve.solvers.ppo_training import Trainer
-from swerve.solvers.training import TrainedNominal
+from swerve import PPO, Box, Problem, Task, learn, load_nominal, sample, save_nominal
+from swerve.evidence.estimators import kl_divergence
+from swerve.solvers.trained import losses
+from swerve.solvers.trained.lanes import fresh_lanes
+from swerve.solvers.trained.ppo_training import Trainer
+from swerve.solvers.trained.training import TrainedNominal
 
 SMALL = PPO(
     num_steps=1_000_000,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from swerve import Task, infer, learn, sample
-from swerve.problem import Problem
-from swerve.reproduce.gridworld import draw
+from swerve.problem.problem import Problem
+from swerve.reproduce.gridworld.measure import draw
 from swerve.reproduce.ranks import Judged, curve, judged, ranks
 from swerve.systems.gridworld import Gridworld
 

@@ -19,16 +19,17 @@ from synthetic import (
     make_samples,
 )
 
-from swerve import report, wording
-from swerve.constraints import Predicate
-from swerve.demonstrations import Demonstration
-from swerve.evidence import Evidence
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses
-from swerve.inference import Inference, infer
-from swerve.report import page, write_report
-from swerve.selection import greedy
-from swerve.space import TWO_PI, StateSpace, Task
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.constraints.base import Predicate
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.grid import grid
+from swerve.inference.greedy import greedy
+from swerve.inference.ranking import Inference, infer
+from swerve.presentation import report
+from swerve.presentation import sentences as wording
+from swerve.presentation.report import page, write_report
 
 EVIL = """</td><script>alert("1")</script><b onmouseover='x'>&amp; $x_{"""
 VOID = {"meta", "img", "source", "br"}

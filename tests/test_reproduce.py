@@ -18,17 +18,19 @@ from matplotlib.collections import QuadMesh
 from matplotlib.image import imread
 from matplotlib.patches import Rectangle
 
-from swerve.demonstrations import Demonstration
-from swerve.inference import infer
-from swerve.problem import Problem
-from swerve.reproduce import files, gridworld, gridworld_figures
-from swerve.reproduce import golden as golden_output
-from swerve.reproduce.golden import Golden, Picked, compare, read_golden
-from swerve.rewards import divergence, taken_actions
-from swerve.sampling import sample
-from swerve.selection import Pick, greedy
-from swerve.solvers.tabular import Tabular
-from swerve.space import Actions, Task
+from swerve.base.space import Actions, Task
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.fitting.rewards import divergence, taken_actions
+from swerve.inference.greedy import Pick, greedy
+from swerve.inference.ranking import infer
+from swerve.problem.problem import Problem
+from swerve.reproduce import files
+from swerve.reproduce.gridworld import figures as gridworld_figures
+from swerve.reproduce.gridworld import golden as golden_output
+from swerve.reproduce.gridworld import measure as gridworld
+from swerve.reproduce.gridworld.golden import Golden, Picked, compare, read_golden
+from swerve.sampling.sample import sample
+from swerve.solvers.exact.tabular import Tabular
 from swerve.systems.gridworld import MOVES, Gridworld
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,11 +14,12 @@ from command import Run
 
 from swerve import Box, Car, Evidence, Inference, Nominal, infer
 from swerve.demonstrators.driver import drives
-from swerve.exact import Drawn, ExactAnswer, exact_evidence
-from swerve.reproduce import car, car_figures
-from swerve.reproduce.car import EXACT, NEXT, OBSTACLE, OTHER, TRUTH, verdict
-from swerve.solvers.soft_value import SoftValue
-from swerve.temperature import BetaFit
+from swerve.evidence.exact import Drawn, ExactAnswer, exact_evidence
+from swerve.fitting.beta import BetaFit
+from swerve.reproduce.car import figures as car_figures
+from swerve.reproduce.car import measure as car
+from swerve.reproduce.car.measure import EXACT, NEXT, OBSTACLE, OTHER, TRUTH, verdict
+from swerve.solvers.trained.soft_value import SoftValue
 
 SMALL = car.Scale(
     dt=0.25,

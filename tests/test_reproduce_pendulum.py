@@ -12,11 +12,14 @@ import pytest
 from command import Run
 from matplotlib.image import imread
 
-from swerve import sampling
-from swerve.constraints import violates
-from swerve.reproduce import double_pendulum, made, pendulum, pendulum_figures
+from swerve.constraints.base import violates
+from swerve.reproduce import made
+from swerve.reproduce.double_pendulum import measure as double_pendulum
 from swerve.reproduce.keeping import Clock
+from swerve.reproduce.pendulum import figures as pendulum_figures
+from swerve.reproduce.pendulum import measure as pendulum
 from swerve.reproduce.ways import DISCRETE, GRID, SOFT_VALUE, Way, best_tables
+from swerve.sampling import sample as sampling
 from swerve.systems.pendulum import pendulum as make_pendulum
 
 TABLES = tuple(Way(DISCRETE, f"discrete?num_cells={cells}&hold=10", None) for cells in (12, 20))
@@ -76,7 +79,7 @@ def test_files_and_resuming(
         raise AssertionError("was made before")
 
     monkeypatch.setattr(made, "first_optima", refuse)
-    monkeypatch.setattr("swerve.sampling.sample_each", refuse)
+    monkeypatch.setattr("swerve.sampling.sample.sample_each", refuse)
     assert run(*command)[0] == 0
     assert (tmp_path / "out" / "pendulum_rank_torque10.csv").read_bytes() == first
 

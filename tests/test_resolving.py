@@ -31,13 +31,13 @@ from swerve import (
     sample,
     write_demonstrations,
 )
-from swerve.constraints import violates
-from swerve.resolving import _is_likely
-from swerve.settings import Settings
-from swerve.solvers.soft_value import least_value
-from swerve.solvers.soft_value_training import SoftValuePolicy
-from swerve.solvers.training import TrainedNominal
-from swerve.work import Work
+from swerve.constraints.base import violates
+from swerve.sampling.resolve import _is_likely
+from swerve.solvers.trained.soft_value import least_value
+from swerve.solvers.trained.soft_value_training import SoftValuePolicy
+from swerve.solvers.trained.training import TrainedNominal
+from swerve.work.settings import Settings
+from swerve.work.work import Work
 
 RARE = 17  # 5e-6 of the nominal trajectories avoid this cell
 TRAINED = SoftValue(num_steps=1_000_000, num_lanes=256, segment=8, width=64, num_minibatches=2)

@@ -24,8 +24,8 @@ from swerve import (
     learn,
     sample,
 )
-from swerve.hypotheses import unpack
-from swerve.nominal import Nominal
+from swerve.hypotheses.base import unpack
+from swerve.solvers.learn import Nominal
 
 COARSE = Grid(num_points=(40, 61))
 OTHER = Task(np.array([1.0, 0.0]), np.array([2.0, 0.5]))
@@ -54,7 +54,7 @@ def test_the_seed_decides(nominal: Nominal) -> None:
 def test_chunks_do_not_repeat_one_another(
     nominal: Nominal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("swerve.drawing.CHUNK", 100)
+    monkeypatch.setattr("swerve.sampling.one_task.CHUNK", 100)
     evidence = sample(nominal, PENDULUM_TASK, 250, method="importance")
     reward = evidence.samples.total_reward[0]
     assert reward.shape == (250,)

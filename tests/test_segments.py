@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swerve import ActionBox, Ball, Box, HalfSpace, Polygon, Predicate, StateAction, Union
-from swerve.constraints import Constraint, violates
-from swerve.occupancy import Occupancy
-from swerve.space import TWO_PI, Actions, StateSpace
+from swerve.base.space import TWO_PI, Actions, StateSpace
+from swerve.constraints.base import Constraint, violates
+from swerve.constraints.occupancy import Occupancy
 
 SPACE = StateSpace(("theta", "x", "y"), ("theta",), np.array([[0.0, TWO_PI], [-4, 4], [-4, 4]]))
 NUM = 480  # points of a segment; a multiple of what a predicate tries

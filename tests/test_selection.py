@@ -25,8 +25,8 @@ from swerve import (
     learn,
     sample,
 )
-from swerve.solvers.tabular import TableNominal
-from swerve.space import Actions
+from swerve.base.space import Actions
+from swerve.solvers.exact.tabular import TableNominal
 from swerve.systems.gridworld import MOVES, cell_box
 
 WORLD = Gridworld(width=4, height=3, num_steps=5, cell_features=(("wet", ((1, 0), (2, 0))),))

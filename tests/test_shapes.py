@@ -12,21 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference import PENDULUM_TASK, enumerate_exactly, short_pendulum
 
-from swerve import (
-    Ball,
-    Box,
-    Enumeration,
-    HalfSpace,
-    Polygon,
-    Problem,
-    Union,
-    learn,
-    polygons,
-    sample,
-)
-from swerve.constraints import Constraint, Predicate, violates
-from swerve.hypotheses import ConstraintHypotheses, constraint_from_json
-from swerve.space import TWO_PI, StateSpace
+from swerve import Ball, Box, Enumeration, HalfSpace, Polygon, Problem, Union, learn, sample
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.constraints import polygons
+from swerve.constraints.base import Constraint, Predicate, violates
+from swerve.hypotheses.base import ConstraintHypotheses, constraint_from_json
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 SPACE = StateSpace(("theta", "x", "y"), ("theta",), np.array([[0.0, TWO_PI], [-4, 4], [-4, 4]]))

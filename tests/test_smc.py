@@ -17,10 +17,10 @@ from reference import CART_TASK, PENDULUM_TASK, Exact, enumerate_exactly, short_
 from routes import TASK, LatticeRoutes, Planted, Routes, routes, share_above
 
 from swerve import Box, Evidence, Problem, Task, learn, sample
-from swerve.look_ahead import LookAhead
-from swerve.samples import NUM_ISLANDS, log_weights
-from swerve.smc import _systematic, smc_rollout
-from swerve.trajectory import take_step
+from swerve.evidence.samples import NUM_ISLANDS, log_weights
+from swerve.sampling.smc import _systematic, smc_rollout
+from swerve.simulation.policies import LookAhead
+from swerve.simulation.trajectory import take_step
 
 STANDARD_ERRORS = 4.5
 OF_ISLANDS = 6.1  # as unlikely, of Student's t with 19 degrees of freedom, as 4.5 of a normal
@@ -160,7 +160,7 @@ def test_evidence_agrees_with_enumeration(name: str) -> None:
 
 
 def test_islands_larger_than_a_chunk_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("swerve.drawing.CHUNK", 300)
+    monkeypatch.setattr("swerve.sampling.one_task.CHUNK", 300)
     problem, task = PROBLEMS["ends-early"]
     evidence = sample(Guessed(problem, 0.1), task, 19_990, method="smc")
     assert evidence.num_trajectories == 20 * 4 * 250

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import swerve
-from swerve.occupancy import Occupancy
-from swerve.problem import Problem
-from swerve.solvers.discrete import Discrete
-from swerve.solvers.soft_paths import SoftPaths
-from swerve.solvers.tabular import Tabular
-from swerve.solvers.walks import Ends, Steps, Walks
-from swerve.space import Task
+from swerve.base.space import Task
+from swerve.constraints.occupancy import Occupancy
+from swerve.problem.problem import Problem
+from swerve.solvers.exact.discrete import Discrete
+from swerve.solvers.exact.soft_paths import SoftPaths
+from swerve.solvers.exact.tabular import Tabular
+from swerve.solvers.exact.walks import Ends, Steps, Walks
 from swerve.systems.gridworld import Gridworld
 from swerve.systems.walker import Walker
 

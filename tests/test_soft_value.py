@@ -13,18 +13,10 @@ from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, s
 from routes import TASK, Routes, routes, share_above
 from training import assert_resumes
 
-from swerve import (
-    Box,
-    SoftValue,
-    Task,
-    learn,
-    load_nominal,
-    sample,
-    save_nominal,
-)
-from swerve.solvers.soft_value import PATIENCE
-from swerve.solvers.training import TrainedNominal
-from swerve.solvers.training_run import Progress
+from swerve import Box, SoftValue, Task, learn, load_nominal, sample, save_nominal
+from swerve.solvers.trained.run import Progress
+from swerve.solvers.trained.soft_value import PATIENCE
+from swerve.solvers.trained.training import TrainedNominal
 
 STANDARD_ERRORS = {"importance": 4.5, "smc": 6.1}  # 20 islands: as unlikely by Student's t
 NUM = 20_000

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swerve.space import TWO_PI, StateSpace, Task, Transitions
+from swerve.base.space import TWO_PI, StateSpace, Task, Transitions
 
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
 angles = st.floats(-50.0, 50.0)

@@ -19,8 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import swerve
-from swerve.problem import Problem
-from swerve.specification import (
+from swerve.problem.loading import (
     SHIPPED,
     Specification,
     build,
@@ -29,6 +28,7 @@ from swerve.specification import (
     load_problem,
     source_hashes,
 )
+from swerve.problem.problem import Problem
 
 ROBOT = """
 import swerve
@@ -483,7 +483,7 @@ class TestLoadProblem:
 
 PRINT_SOURCES = """
 import json, sys
-from swerve.specification import load_problem, source_hashes
+from swerve.problem.loading import load_problem, source_hashes
 problem = load_problem(sys.argv[1])
 print(json.dumps([source_hashes(problem), problem.record.fingerprint]))
 """

@@ -30,10 +30,10 @@ from swerve import (
     learn,
     sample,
 )
-from swerve.constraints import violates
-from swerve.hypotheses import ConstraintHypotheses, constraint_from_json, unpack
-from swerve.space import Actions, StateSpace
-from swerve.trajectory import enters
+from swerve.base.space import Actions, StateSpace
+from swerve.constraints.base import violates
+from swerve.hypotheses.base import ConstraintHypotheses, constraint_from_json, unpack
+from swerve.simulation.trajectory import enters
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 FAST, LEFT = ActionBox(f=(0.5, 2.0)), Box(x=(-4.0, 0.0))

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from swerve import store
+from swerve.base import store
 
 KIND, VERSION = "evidence", 3
 HEADER = {"swerve": "0.1.0", "beta": 0.67, "names": ["theta", "omega"], "none": None}
@@ -148,7 +148,7 @@ def test_other_tools_read_the_file(path: Path) -> None:
 
 def test_importing_loads_neither_jax_nor_polars_nor_zipfile() -> None:
     code = (
-        "import sys; before = set(sys.modules); import swerve.store, swerve.demonstrations;"
+        "import sys; before = set(sys.modules); import swerve.base.store, swerve.demonstrations.demonstration;"
         "new = {name.split('.')[0] for name in set(sys.modules) - before};"
         "assert not new & {'jax', 'polars', 'zipfile', 'tempfile', 'hashlib'}, new;"
         "swerve = {name for name in sys.modules if name.startswith('swerve.')};"

@@ -14,9 +14,9 @@ from reference import short_cart
 
 import swerve
 from swerve import ActionBox, Box, Gridworld, Problem, Task, infer, learn, sample, tabular
-from swerve.solvers.tabular import TableNominal
+from swerve.problem.tasks import draw_tasks
+from swerve.solvers.exact.tabular import TableNominal
 from swerve.systems.gridworld import MOVES, cell_box, gridworld, move_box
-from swerve.tasks import draw_tasks
 
 RING = np.array([[1, 2], [2, 3], [3, 0], [0, -1]])  # one or two on; the last offers one alone
 START = Task(np.array([0.0]), np.zeros(0))

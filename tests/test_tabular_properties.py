@@ -15,10 +15,10 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from swerve import ActionBox, Box, Constraint, Problem, Task, Union, sample, tabular
-from swerve.exact import ExactAnswer
-from swerve.hypotheses import unpack
-from swerve.solvers.enumeration import Enumeration, EnumerationNominal
-from swerve.solvers.tabular import TableNominal, Tabular
+from swerve.evidence.exact import ExactAnswer
+from swerve.hypotheses.base import unpack
+from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal
+from swerve.solvers.exact.tabular import TableNominal, Tabular
 from swerve.systems.tabular import NOWHERE
 
 UNREACHABLE = r"task 0, from \[[0-9]\.0\] to \[\]: .*log Z_0 = -inf"

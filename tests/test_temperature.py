@@ -27,8 +27,8 @@ from swerve import (
     learn,
     sample,
 )
-from swerve.rewards import total_rewards
-from swerve.temperature import Likelihood
+from swerve.fitting.beta import Likelihood
+from swerve.fitting.rewards import total_rewards
 
 STANDARD_ERRORS = 4.0
 OF_ISLANDS = 5.1  # as unlikely, of Student's t with 19 degrees of freedom, as 4 of a normal

@@ -15,9 +15,9 @@ from test_smc import OF_ISLANDS, WALL, Guessed, assert_within_errors
 from test_trust import Fixed
 
 from swerve import Box, Problem, infer, learn, sample
-from swerve.estimators import LOW_ESS
-from swerve.samples import NUM_ISLANDS
-from swerve.tempering import _next_step
+from swerve.evidence.estimators import LOW_ESS
+from swerve.evidence.samples import NUM_ISLANDS
+from swerve.sampling.tempering import _next_step
 
 PROBLEMS = {
     "pendulum": (short_pendulum(beta=0.05), PENDULUM_TASK),
@@ -110,7 +110,7 @@ def test_dead_islands_do_not_slow_the_others(monkeypatch: pytest.MonkeyPatch) ->
         seen.append(reward)
         return _next_step(reward, rest)
 
-    monkeypatch.setattr("swerve.tempering._next_step", next_step)
+    monkeypatch.setattr("swerve.sampling.tempering._next_step", next_step)
     problem = short_cart(beta=0.5, known=[Box(x=(0.2, 0.5), v=(-2.0, -0.2))])
     evidence = sample(Fixed(Blind(problem)), CART_TASK, 20, beta=5.0)
     num_alive = np.isfinite(evidence.island_log_partition).sum()

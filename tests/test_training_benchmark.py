@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from swerve import PPO, SoftValue
-from swerve.solvers.training_run import Progress
+from swerve.solvers.trained.run import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS = ["seconds", "steps", "median_kl", "worst_kl", "median_error", "worst_error"]

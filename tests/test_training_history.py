@@ -18,26 +18,16 @@ from matplotlib.image import imread
 from reference import Cart, short_pendulum
 from training import Interrupted
 
-from swerve import (
-    PPO,
-    Box,
-    Problem,
-    SoftValue,
-    Task,
-    grid,
-    learn,
-    load_nominal,
-    save_nominal,
-    store,
-)
-from swerve.solvers.checkpoints import Checkpoint
-from swerve.solvers.lanes import Lanes, fresh_lanes
-from swerve.solvers.nonfinite import check_steps
-from swerve.solvers.probe import Probe, Reading
-from swerve.solvers.training import TrainedNominal, TrainingSolver
-from swerve.solvers.training_run import NUM_RISEN, Progress
-from swerve.solvers.training_run import Run as TrainingRun
-from swerve.training_plot import FORBIDDEN, plot_training
+from swerve import PPO, Box, Problem, SoftValue, Task, grid, learn, load_nominal, save_nominal
+from swerve.base import store
+from swerve.solvers.trained.checkpoints import Checkpoint
+from swerve.solvers.trained.history_plot import FORBIDDEN, plot_training
+from swerve.solvers.trained.lanes import Lanes, fresh_lanes
+from swerve.solvers.trained.nonfinite import check_steps
+from swerve.solvers.trained.probe import Probe, Reading
+from swerve.solvers.trained.run import NUM_RISEN, Progress
+from swerve.solvers.trained.run import Run as TrainingRun
+from swerve.solvers.trained.training import TrainedNominal, TrainingSolver
 
 SOLVERS = {
     "ppo": PPO(num_steps=20_480, num_lanes=16, segment=8, num_minibatches=2, width=8),

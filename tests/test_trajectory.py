@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from reference import CART_TASK, PENDULUM_TASK, Cart, short_cart, short_pendulum
 
 from swerve import Box, Grid, Predicate, Problem, Task, grid, learn, rk4, sample
-from swerve.constraints import violates
-from swerve.mdp import MDP
-from swerve.trajectory import draw_action, enters, rollout, take_step
+from swerve.constraints.base import violates
+from swerve.problem.mdp import MDP
+from swerve.simulation.trajectory import draw_action, enters, rollout, take_step
 
 NUM = 500
 STANDARD_ERRORS = 4.5

@@ -14,9 +14,10 @@ from routes import TASK, WALL, LatticeRoutes, Planted, routes
 from synthetic import evidence_of_columns, make_demonstration, make_evidence
 from test_smc import Guess
 
-from swerve import Problem, grid, infer, learn, sample, wording
-from swerve.look_ahead import LookAhead
-from swerve.solvers.grid import GridPolicy
+from swerve import Problem, grid, infer, learn, sample
+from swerve.presentation import sentences as wording
+from swerve.simulation.policies import LookAhead
+from swerve.solvers.grid.grid import GridPolicy
 
 GOOD = {
     "kl": 0.0,

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import swerve
-from swerve.hypotheses import constraint_from_json
-from swerve.occupancy import Occupancy
-from swerve.problem import Problem
-from swerve.space import StateSpace
+from swerve.base.space import StateSpace
+from swerve.constraints.occupancy import Occupancy
+from swerve.hypotheses.base import constraint_from_json
+from swerve.problem.problem import Problem
 from swerve.systems.walker import Walker
 
 SPACE = StateSpace(("x", "y"), (), np.array([[0.0, 4.0], [0.0, 3.0]]))

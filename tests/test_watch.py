@@ -14,8 +14,9 @@ from command import SOLVER, Run
 from synthetic import TASKS, make_evidence
 from test_monitor import Known
 
-from swerve import Evidence, Task, foresight_training
-from swerve.watch import Watch, watch
+from swerve import Evidence, Task
+from swerve.cli.watch import Watch, watch
+from swerve.monitoring import foresee as foresight_training
 
 START = TASKS.start[0].tolist()
 NAMED = {f"demo_{k}": Task(TASKS.start[k], TASKS.goal[k]) for k in range(3)}
@@ -156,7 +157,7 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     (path,) = work.glob("*.foresight")
     assert path.stem == next(work.glob("*.evidence")).stem
 
-    code = "import sys; sys.modules['jax'] = None; from swerve.cli import main; main()"
+    code = "import sys; sys.modules['jax'] = None; from swerve.cli.app import main; main()"
     again = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         input=b"\xff\n" + text.encode(),

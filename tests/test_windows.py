@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from synthetic import SPACE
 
 from swerve import Box, windows
-from swerve.hypotheses import ConstraintHypotheses, hypotheses_from_json, unpack
-from swerve.space import TWO_PI
+from swerve.base.space import TWO_PI
+from swerve.hypotheses.base import ConstraintHypotheses, hypotheses_from_json, unpack
 
 seeds = st.integers(0, 2**31 - 1)
 SETS = {

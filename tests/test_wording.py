@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from synthetic import evidence_of_columns, make_demonstration, make_evidence, make_record
 
-from swerve import wording
-from swerve.boxes import Box
-from swerve.constraints import Predicate
-from swerve.grids import grid
-from swerve.hypotheses import ConstraintHypotheses
-from swerve.inference import Inference, infer
+from swerve.constraints.base import Predicate
+from swerve.constraints.boxes import Box
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.grid import grid
+from swerve.inference.ranking import Inference, infer
+from swerve.presentation import sentences as wording
 
 CELLS = grid(x=(0.0, 10.0, 10))  # the tasks start in 1, 5 and 9
 

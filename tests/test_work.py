@@ -12,12 +12,13 @@ from urllib.parse import unquote
 import pytest
 from command import ROBOT, SOLVER, SPACE, Run, infer
 
-from swerve import sampling, store
-from swerve.demonstrations import read_demonstrations
-from swerve.evidence import Evidence
-from swerve.settings import Settings
-from swerve.space import Task
-from swerve.work import Work
+from swerve.base import store
+from swerve.base.space import Task
+from swerve.demonstrations.demonstration import read_demonstrations
+from swerve.evidence.evidence import Evidence
+from swerve.sampling import sample as sampling
+from swerve.work.settings import Settings
+from swerve.work.work import Work
 
 
 def test_second_call_needs_neither_jax_nor_user_code(
@@ -32,7 +33,7 @@ def test_second_call_needs_neither_jax_nor_user_code(
         "             'numpy.ma'):\n"
         "    sys.modules[name] = None\n"  # importing it would raise
         f"sys.argv = {['swerve', *map(str, arguments)]!r}\n"
-        "from swerve.cli import main; main()"
+        "from swerve.cli.app import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
@@ -145,7 +146,7 @@ def test_what_is_finished_is_kept_when_sampling_is_interrupted(
         yield from itertools.islice(whole(*arguments, **settings), 2)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("swerve.sampling.sample_each", interrupted)
+    monkeypatch.setattr("swerve.sampling.sample.sample_each", interrupted)
     arguments = infer(robot, demonstrations, work, "--solver", SOLVER, "--json")
     status, _, said = run(*arguments)
     assert status == 130
@@ -158,7 +159,7 @@ def test_what_is_finished_is_kept_when_sampling_is_interrupted(
         asked.append(len(tasks.start))
         return whole(nominal, tasks, *arguments, **settings)
 
-    monkeypatch.setattr("swerve.sampling.sample_each", counting)
+    monkeypatch.setattr("swerve.sampling.sample.sample_each", counting)
     assert run(*arguments)[0] == 0
     assert asked == [2]
     assert Evidence.load(path).num_tasks == 4

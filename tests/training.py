@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swerve import Nominal
-from swerve.solvers.checkpoints import Checkpoint
+from swerve.solvers.trained.checkpoints import Checkpoint
 
 
 class Interrupted(KeyboardInterrupt):

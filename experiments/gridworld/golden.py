@@ -13,7 +13,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from swerve.reproduce.golden import compare, read_golden
+from swerve.reproduce.gridworld.golden import compare, read_golden
 
 TOLERANCE = 1e-9  # nats
 

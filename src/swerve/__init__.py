@@ -9,12 +9,13 @@ stored evidence never imports JAX.
 TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 
 if TYPE_CHECKING:
-    from swerve.belief_plots import plot_contributions
-    from swerve.boxes import ActionBox, Box
-    from swerve.constraints import Constraint, Predicate, Union
-    from swerve.course import Course, follow
-    from swerve.course_plots import animate_course, plot_course
-    from swerve.demonstrations import (
+    from swerve.base.space import StateSpace, Task
+    from swerve.constraints.base import Constraint, Predicate, Union
+    from swerve.constraints.boxes import ActionBox, Box
+    from swerve.constraints.occupancy import Occupancy
+    from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+    from swerve.constraints.state_action import StateAction
+    from swerve.demonstrations.demonstration import (
         Demonstration,
         read_demonstrations,
         read_tasks,
@@ -22,119 +23,118 @@ if TYPE_CHECKING:
     )
     from swerve.demonstrators.boltzmann import demonstrate
     from swerve.demonstrators.optimal_control import Optimum, optimal_control
-    from swerve.estimators import hoeffding_error, hoeffding_sample_size
-    from swerve.evidence import Evidence
-    from swerve.foresight import Foresight
-    from swerve.foresight_training import Rollouts, foresee
-    from swerve.grids import grid
-    from swerve.hypotheses import HypothesisSet
-    from swerve.inference import Inference, infer
-    from swerve.mdp import MDP, rk4
-    from swerve.monitor import Monitor
-    from swerve.nominal import Nominal, learn, load_nominal, save_nominal
-    from swerve.occupancy import Occupancy
-    from swerve.pairs import Pair, best_pair
-    from swerve.plots import plot_posterior
-    from swerve.problem import Problem
-    from swerve.resolving import resolve
-    from swerve.rewards import divergence
-    from swerve.sampling import sample
-    from swerve.selection import Pick, greedy
-    from swerve.shapes import Ball, HalfSpace, Polygon
-    from swerve.sliding import windows
-    from swerve.solvers.discrete import Discrete
-    from swerve.solvers.distilled import Distilled
-    from swerve.solvers.enumeration import Enumeration
-    from swerve.solvers.grid import Grid
-    from swerve.solvers.ppo import PPO
-    from swerve.solvers.soft_paths import SoftPaths
-    from swerve.solvers.soft_value import SoftValue
-    from swerve.solvers.tabular import Tabular
-    from swerve.space import StateSpace, Task
-    from swerve.specification import load_problem
-    from swerve.state_action import StateAction
+    from swerve.evidence.estimators import hoeffding_error, hoeffding_sample_size
+    from swerve.evidence.evidence import Evidence
+    from swerve.fitting.beta import BetaFit, fit_beta
+    from swerve.fitting.rewards import divergence
+    from swerve.hypotheses.base import HypothesisSet
+    from swerve.hypotheses.grid import grid
+    from swerve.hypotheses.windows import windows
+    from swerve.inference.greedy import Pick, greedy
+    from swerve.inference.pairs import Pair, best_pair
+    from swerve.inference.ranking import Inference, infer
+    from swerve.monitoring.course import Course, follow
+    from swerve.monitoring.foresee import Rollouts, foresee
+    from swerve.monitoring.foresight import Foresight
+    from swerve.monitoring.monitor import Monitor
+    from swerve.presentation.belief_plots import plot_contributions
+    from swerve.presentation.course_plots import animate_course, plot_course
+    from swerve.presentation.plots import plot_posterior
+    from swerve.problem.loading import load_problem
+    from swerve.problem.mdp import MDP, rk4
+    from swerve.problem.problem import Problem
+    from swerve.problem.tasks import draw_tasks
+    from swerve.sampling.resolve import resolve
+    from swerve.sampling.sample import sample
+    from swerve.solvers.exact.discrete import Discrete
+    from swerve.solvers.exact.enumeration import Enumeration
+    from swerve.solvers.exact.soft_paths import SoftPaths
+    from swerve.solvers.exact.tabular import Tabular
+    from swerve.solvers.grid.grid import Grid
+    from swerve.solvers.learn import Nominal, learn, load_nominal, save_nominal
+    from swerve.solvers.trained.distilled import Distilled
+    from swerve.solvers.trained.ppo import PPO
+    from swerve.solvers.trained.soft_value import SoftValue
     from swerve.systems.car import Car
     from swerve.systems.double_pendulum import DoublePendulum
     from swerve.systems.gridworld import Gridworld
     from swerve.systems.pendulum import Pendulum
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.systems.walker import Walker
-    from swerve.tasks import draw_tasks
-    from swerve.temperature import BetaFit, fit_beta
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "ActionBox": "boxes",
-    "Ball": "shapes",
-    "BetaFit": "temperature",
-    "Box": "boxes",
+    "ActionBox": "constraints.boxes",
+    "Ball": "constraints.shapes",
+    "BetaFit": "fitting.beta",
+    "Box": "constraints.boxes",
     "Car": "systems.car",
-    "Constraint": "constraints",
-    "Course": "course",
-    "Demonstration": "demonstrations",
-    "Discrete": "solvers.discrete",
-    "Distilled": "solvers.distilled",
+    "Constraint": "constraints.base",
+    "Course": "monitoring.course",
+    "Demonstration": "demonstrations.demonstration",
+    "Discrete": "solvers.exact.discrete",
+    "Distilled": "solvers.trained.distilled",
     "DoublePendulum": "systems.double_pendulum",
-    "Enumeration": "solvers.enumeration",
-    "Evidence": "evidence",
-    "Foresight": "foresight",
-    "Grid": "solvers.grid",
+    "Enumeration": "solvers.exact.enumeration",
+    "Evidence": "evidence.evidence",
+    "Foresight": "monitoring.foresight",
+    "Grid": "solvers.grid.grid",
     "Gridworld": "systems.gridworld",
-    "HalfSpace": "shapes",
-    "HypothesisSet": "hypotheses",
-    "Inference": "inference",
-    "MDP": "mdp",
-    "Monitor": "monitor",
-    "Nominal": "nominal",
-    "Occupancy": "occupancy",
+    "HalfSpace": "constraints.shapes",
+    "HypothesisSet": "hypotheses.base",
+    "Inference": "inference.ranking",
+    "MDP": "problem.mdp",
+    "Monitor": "monitoring.monitor",
+    "Nominal": "solvers.learn",
+    "Occupancy": "constraints.occupancy",
     "Optimum": "demonstrators.optimal_control",
-    "PPO": "solvers.ppo",
-    "Pair": "pairs",
-    "Pick": "selection",
-    "Polygon": "shapes",
+    "PPO": "solvers.trained.ppo",
+    "Pair": "inference.pairs",
+    "Pick": "inference.greedy",
+    "Polygon": "constraints.shapes",
     "Pendulum": "systems.pendulum",
-    "Predicate": "constraints",
-    "Problem": "problem",
-    "SoftPaths": "solvers.soft_paths",
-    "Rollouts": "foresight_training",
-    "SoftValue": "solvers.soft_value",
-    "StateAction": "state_action",
-    "StateSpace": "space",
-    "Tabular": "solvers.tabular",
+    "Predicate": "constraints.base",
+    "Problem": "problem.problem",
+    "SoftPaths": "solvers.exact.soft_paths",
+    "Rollouts": "monitoring.foresee",
+    "SoftValue": "solvers.trained.soft_value",
+    "StateAction": "constraints.state_action",
+    "StateSpace": "base.space",
+    "Tabular": "solvers.exact.tabular",
     "TabularMDP": "systems.tabular",
-    "Task": "space",
-    "Union": "constraints",
+    "Task": "base.space",
+    "Union": "constraints.base",
     "Walker": "systems.walker",
-    "best_pair": "pairs",
-    "animate_course": "course_plots",
+    "best_pair": "inference.pairs",
+    "animate_course": "presentation.course_plots",
     "demonstrate": "demonstrators.boltzmann",
     "optimal_control": "demonstrators.optimal_control",
-    "divergence": "rewards",
-    "draw_tasks": "tasks",
-    "fit_beta": "temperature",
-    "follow": "course",
-    "foresee": "foresight_training",
-    "greedy": "selection",
-    "grid": "grids",
-    "hoeffding_error": "estimators",
-    "hoeffding_sample_size": "estimators",
-    "infer": "inference",
-    "learn": "nominal",
-    "load_nominal": "nominal",
-    "load_problem": "specification",
-    "read_demonstrations": "demonstrations",
-    "read_tasks": "demonstrations",
-    "plot_contributions": "belief_plots",
-    "plot_course": "course_plots",
-    "plot_posterior": "plots",
-    "rk4": "mdp",
-    "resolve": "resolving",
-    "sample": "sampling",
+    "divergence": "fitting.rewards",
+    "draw_tasks": "problem.tasks",
+    "fit_beta": "fitting.beta",
+    "follow": "monitoring.course",
+    "foresee": "monitoring.foresee",
+    "greedy": "inference.greedy",
+    "grid": "hypotheses.grid",
+    "hoeffding_error": "evidence.estimators",
+    "hoeffding_sample_size": "evidence.estimators",
+    "infer": "inference.ranking",
+    "learn": "solvers.learn",
+    "load_nominal": "solvers.learn",
+    "load_problem": "problem.loading",
+    "read_demonstrations": "demonstrations.demonstration",
+    "read_tasks": "demonstrations.demonstration",
+    "plot_contributions": "presentation.belief_plots",
+    "plot_course": "presentation.course_plots",
+    "plot_posterior": "presentation.plots",
+    "rk4": "problem.mdp",
+    "resolve": "sampling.resolve",
+    "sample": "sampling.sample",
     "tabular": "systems.tabular",
-    "save_nominal": "nominal",
-    "windows": "sliding",
-    "write_demonstrations": "demonstrations",
+    "save_nominal": "solvers.learn",
+    "windows": "hypotheses.windows",
+    "write_demonstrations": "demonstrations.demonstration",
 }
 
 __all__ = [

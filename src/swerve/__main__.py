@@ -1,5 +1,5 @@
 """`python -m swerve` is the `swerve` command."""
 
-from swerve.cli import main
+from swerve.cli.app import main
 
 main()

@@ -20,22 +20,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve import estimators
-from swerve.arguments import whole_number
-from swerve.constraints import Constraint
-from swerve.demonstrations import Demonstration
-from swerve.look_ahead import ValuedPolicy
-from swerve.nominal import Nominal, PolicyNominal, Solver, learn, resolve_solver
-from swerve.problem import Problem
-from swerve.progress import progress_bar
-from swerve.resolving import AdaptingSolver
-from swerve.samples import ADAPTING_SOLVERS, NUM_ISLANDS, log_weights
-from swerve.smc import smc_rollout
-from swerve.solvers.tabular import Table, TableNominal
-from swerve.space import Task
+from swerve.base.arguments import whole_number
+from swerve.base.progress import progress_bar
+from swerve.base.space import Task
+from swerve.constraints.base import Constraint
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence import estimators
+from swerve.evidence.samples import ADAPTING_SOLVERS, NUM_ISLANDS, log_weights
+from swerve.problem.problem import Problem
+from swerve.problem.tasks import named_tasks
+from swerve.sampling.resolve import AdaptingSolver
+from swerve.sampling.smc import smc_rollout
+from swerve.simulation.policies import ValuedPolicy
+from swerve.simulation.trajectory import Policy, Trajectory, rollout
+from swerve.solvers.exact.tabular import Table, TableNominal
+from swerve.solvers.learn import Nominal, PolicyNominal, Solver, learn, resolve_solver
 from swerve.systems.tabular import TabularMDP
-from swerve.tasks import named_tasks
-from swerve.trajectory import Policy, Trajectory, rollout
 
 SOLVERS = ("grid", "tabular", "soft-value")
 NUM_CANDIDATES = 512

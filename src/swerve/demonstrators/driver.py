@@ -24,11 +24,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.arguments import instance, whole_number
-from swerve.boxes import Box
-from swerve.constraints import violates
-from swerve.demonstrations import Demonstration
-from swerve.space import Task
+from swerve.base.arguments import instance, whole_number
+from swerve.base.space import Task
+from swerve.constraints.base import violates
+from swerve.constraints.boxes import Box
+from swerve.demonstrations.demonstration import Demonstration
 from swerve.systems.car import ACCELERATIONS, TRACK, TURN_RATES, Car
 
 Step = Callable[[jax.Array, jax.Array], jax.Array]  # dynamics

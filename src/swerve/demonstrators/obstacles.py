@@ -22,12 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve.boxes import ActionBox, Box
-from swerve.constraints import Constraint
-from swerve.polygons import triangles
-from swerve.shapes import Ball, HalfSpace, Polygon
-from swerve.space import TWO_PI, StateSpace, is_full_turn
-from swerve.state_action import StateAction
+from swerve.base.space import TWO_PI, StateSpace, is_full_turn
+from swerve.constraints.base import Constraint
+from swerve.constraints.boxes import ActionBox, Box
+from swerve.constraints.polygons import triangles
+from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+from swerve.constraints.state_action import StateAction
 
 UNUSED = 0.02  # weight of sides that do not separate, in guesses
 PUSH = 1.1  # times the way out of an obstacle, by which guesses are pushed out

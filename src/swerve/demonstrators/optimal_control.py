@@ -22,14 +22,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.arguments import numbers, positive_number, whole_number
-from swerve.constraints import Constraint, violates
-from swerve.demonstrations import Demonstration
+from swerve.base.arguments import numbers, positive_number, whole_number
+from swerve.base.progress import progress_bar
+from swerve.base.space import TWO_PI, Actions, Task
+from swerve.constraints.base import Constraint, violates
+from swerve.demonstrations.demonstration import Demonstration
 from swerve.demonstrators.obstacles import Obstacle, Path, obstacles_of
-from swerve.problem import Problem
-from swerve.progress import progress_bar
-from swerve.space import TWO_PI, Actions, Task
-from swerve.tasks import named_tasks
+from swerve.problem.problem import Problem
+from swerve.problem.tasks import named_tasks
 
 if TYPE_CHECKING:
     from swerve.demonstrators.transcription import Solution, Transcription

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import casadi
 import numpy as np
 
+from swerve.base.space import Task
 from swerve.demonstrators.obstacles import Obstacle, Path
 from swerve.demonstrators.symbolic import as_casadi
-from swerve.mdp import MDP
-from swerve.space import Task
+from swerve.problem.mdp import MDP
 
 GAP = 1e-5  # in units of the states, by which paths keep clear of obstacles
 MAX_ITERATIONS = 200

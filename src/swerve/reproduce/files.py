@@ -11,8 +11,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swerve import store
-from swerve.tables import csv_text
+from swerve.base import store
+from swerve.demonstrations.tables import csv_text
 
 WIDTH = 3.5  # in, a column of a paper
 SIZE, SMALL = 8.0, 7.0  # pt

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from swerve import store
+from swerve.base import store
 
 
 class Clock:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from swerve.demonstrations import Demonstration, read_demonstrations, write_demonstrations
+from swerve.demonstrations.demonstration import (
+    Demonstration,
+    read_demonstrations,
+    write_demonstrations,
+)
 from swerve.demonstrators.optimal_control import SPARE, Search, first_optima
-from swerve.problem import Problem
+from swerve.problem.problem import Problem
+from swerve.problem.tasks import draw_tasks
 from swerve.reproduce.keeping import Keeping
-from swerve.tasks import draw_tasks
 
 
 def kept_optima(

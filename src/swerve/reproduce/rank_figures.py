@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from swerve.figures import FAINT, INK, open_sides
+from swerve.base.figure_style import FAINT, INK, open_sides
+from swerve.presentation.shading import COLOURS
 from swerve.reproduce.files import SIZE, SMALL, column, markdown
 from swerve.reproduce.ranks import Curve
 from swerve.reproduce.ways import DISCRETE, GRID, PPO, SOFT_VALUE, Answer
-from swerve.shading import COLOURS
 
 EXACT = "exact files"
 STYLES: dict[str, dict[str, Any]] = {

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve.inference import Inference
+from swerve.inference.ranking import Inference
 
 NUM_TRIALS = 200  # subsets of a size, as in the paper
 NUM_BOOTSTRAPS = 100  # sets of demonstrations drawn anew, with repetition

@@ -6,14 +6,14 @@ import zlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from swerve.demonstrations import Demonstration
-from swerve.inference import Inference, infer
+from swerve.base.space import Task
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.inference.ranking import Inference, infer
 from swerve.reproduce.keeping import Keeping
 from swerve.reproduce.ranks import Curve, curve, judged, noise_of
-from swerve.settings import Settings
-from swerve.solvers.tabular import TableNominal
-from swerve.space import Task
-from swerve.work import Work
+from swerve.solvers.exact.tabular import TableNominal
+from swerve.work.settings import Settings
+from swerve.work.work import Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30, 40, 50, 65)
 SOFT_VALUE, GRID, PPO, DISCRETE = "soft value + SMC", "grid", "PPO", "MLCI-Discrete"

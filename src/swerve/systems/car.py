@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from swerve.grids import grid
-from swerve.mdp import MDP, rk4
-from swerve.problem import Problem
-from swerve.space import TWO_PI, Task
+from swerve.base.space import TWO_PI, Task
+from swerve.hypotheses.grid import grid
+from swerve.problem.mdp import MDP, rk4
+from swerve.problem.problem import Problem
 
 GOAL_LINE = 8.5  # m
 TRACK = (-0.8, 0.2)  # m, of x

@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.arguments import whole_number
-from swerve.boxes import ActionBox, Box
-from swerve.constraints import Constraint, Union
-from swerve.problem import Problem
-from swerve.space import Task
+from swerve.base.arguments import whole_number
+from swerve.base.space import Task
+from swerve.constraints.base import Constraint, Union
+from swerve.constraints.boxes import ActionBox, Box
+from swerve.problem.problem import Problem
 from swerve.systems.tabular import NOWHERE, TabularMDP
 
 Cell = tuple[int, int]

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from swerve.grids import grid
-from swerve.mdp import MDP, rk4
-from swerve.problem import Problem
-from swerve.space import TWO_PI, Task
+from swerve.base.space import TWO_PI, Task
+from swerve.hypotheses.grid import grid
+from swerve.problem.mdp import MDP, rk4
+from swerve.problem.problem import Problem
 
 TERMINAL_WEIGHT = 80.0
 TORQUE_WEIGHT = 0.05

@@ -15,8 +15,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.mdp import MDP
-from swerve.space import StateSpace, Task, Transitions, lattice_number, nearest
+from swerve.base.space import StateSpace, Task, Transitions, lattice_number, nearest
+from swerve.problem.mdp import MDP
 
 NOWHERE = -1  # the successor of an action that a state does not offer
 

@@ -24,8 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from swerve.arguments import positive_number
-from swerve.mdp import MDP
+from swerve.base.arguments import positive_number
+from swerve.problem.mdp import MDP
 
 KING_AND_KNIGHT = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
 SPEED = 1.2  # m/s, of people who walk

@@ -1,0 +1,71 @@
+"""What all pictures share: ink, a header above the axes, open sides, a file.
+
+matplotlib is used through its objects alone, so neither a window nor the global state of pyplot is
+touched.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from swerve.presentation import sentences as wording
+
+WIDTH, MIN_WIDTH = 8.4, 2.5  # in
+
+INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"
+
+
+def headed(
+    header: list[tuple[str, float, str]], width: float, height: float, used: float
+) -> Figure:
+    """Return a figure with lines of text above the room for its axes.
+
+    Args:
+      header: lines as (text, size [pt], colour).
+      width: of the figure [in].
+      height: of the room below the lines [in].
+      used: width of that room [in].
+
+    Raises:
+      ValueError: if it is too narrow for its text.
+    """
+    if width < MIN_WIDTH:
+        raise ValueError(f"width: expected at least {MIN_WIDTH} in, got {width}")
+    lines = []
+    for text, size, colour in header:
+        lines += [
+            (line, size, colour) for line in wording.wrapped(text, width - 0.3, size).split("\n")
+        ]
+    top = 0.15 + sum(1.4 * size / 72 for _, size, _ in lines)
+    figure = Figure((width, height + top), facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine(
+        ConstrainedLayoutEngine(rect=(0, 0, used / width, height / (height + top)))
+    )
+    y = height + top - 0.1
+    for text, size, colour in lines:
+        weight = "normal" if colour == FAINT else "bold"
+        style: dict[str, Any] = {"fontsize": size, "color": colour, "fontweight": weight}
+        figure.text(0.12 / width, y / (height + top), text, va="top", parse_math=False, **style)
+        y -= 1.4 * size / 72
+    return figure
+
+
+def open_sides(axes: Axes, size: float = 8.0) -> None:
+    """Leave axes the sides that carry numbers, at the left and below, these of some size [pt]."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=size)
+
+
+def written(figure: Figure, path: str | Path | None) -> Figure:
+    """Write a figure to a file, if one is named, and return it."""
+    if path is not None:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=200)
+    return figure

@@ -1,0 +1,276 @@
+"""Constraints made of intervals: boxes of states, and boxes of actions.
+
+Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import keyword
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swerve.base.arguments import numbers
+from swerve.base.space import TWO_PI, Actions, StateSpace, is_full_turn
+from swerve.constraints.base import Constraint, nowhere
+
+if TYPE_CHECKING:
+    from swerve.problem.mdp import MDP
+
+
+class Box(Constraint):
+    """The states whose named components lie in half-open intervals [low, high).
+
+    Components that are not named are free. The interval of an angle may lie anywhere and may wrap:
+    `Box(theta=(3.0, 3.5))` and `Box(theta=(3.0 - 2 * pi, 3.5 - 2 * pi))` are the same set.
+
+    Args:
+      **intervals: for each named state (low, high), in that state's unit; +-inf leaves a side open.
+
+    Raises:
+      ValueError: if there is no interval, or one is empty or not a pair of numbers.
+    """
+
+    def __init__(self, **intervals: tuple[float, float]) -> None:
+        self.intervals = _checked_intervals("Box", intervals)
+
+    def __repr__(self) -> str:
+        """Return Python that makes this box again, to the last digit."""
+        return call("Box", [], _sides(self.intervals))
+
+    @property
+    def name(self) -> str:
+        """For example 'theta [3.14, 3.77), omega [0, 1.2)'."""
+        return _intervals_name(self.intervals)
+
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """Its intervals."""
+        return self.intervals
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a name is unknown or an angle interval exceeds a full turn."""
+        for name, (low, high) in self.intervals.items():
+            space.column(name)
+            if name in space.angles and not high - low <= TWO_PI * (1 + 1e-12):
+                raise ValueError(
+                    f"Box: {name!r} is an angle, so its interval may span 2 pi at most, "
+                    f"got ({low}, {high}), a width of {high - low:.6g} rad"
+                )
+
+    def contains(self, states: Any, space: StateSpace) -> Any:
+        """Return [...] True where a state [..., n] lies in the box."""
+        inside = True
+        for name, (low, high) in self.intervals.items():
+            value = states[..., space.column(name)]
+            if name in space.angles:
+                # twice, since a tiny negative number modulo 2 pi is rounded to 2 pi itself
+                inside = inside & ((value - low) % TWO_PI % TWO_PI < high - low)
+            else:
+                inside = inside & (low <= value) & (value < high)
+        return inside
+
+    def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
+        """Return [...] True where the segment meets the box (the slab test, images of angles)."""
+        xp = starts.__array_namespace__()
+        steps = space.difference(starts, ends)
+        hit = self.contains(starts, space) | self.contains(ends, space)
+        slabs = [
+            _slabs(starts[..., column], steps[..., column], low, high, name in space.angles)
+            for name, (low, high) in self.intervals.items()
+            for column in [space.column(name)]
+        ]
+        for combination in itertools.product(*slabs):
+            enter = xp.stack([enter for enter, _ in combination]).max(axis=0)
+            leave = xp.stack([leave for _, leave in combination]).min(axis=0)
+            hit = hit | (xp.minimum(leave, 1.0) > xp.maximum(enter, 0.0))
+        return hit
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the Euclidean distance [...] of states [..., n] over the states that it names."""
+        parts = [
+            interval_distance(states[..., space.column(name)], low, high, name in space.angles)
+            for name, (low, high) in self.intervals.items()
+        ]
+        return np.linalg.norm(parts, axis=0)
+
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Box:
+        """Return the box less a margin on both sides of every interval that has sides.
+
+        Open sides stay open, and a full turn is all there is.
+        """
+        intervals = {}
+        for name, (low, high) in self.intervals.items():
+            has_sides = not (name in space.angles and is_full_turn(low, high))
+            width = margin.get(name, 0.0) if has_sides else 0.0
+            if not low + width < high - width:
+                raise ValueError(
+                    f"margin: {width:g} for {name!r} leaves nothing of {self.name}: expected less "
+                    f"than half its width, {(high - low) / 2:.6g}"
+                )
+            intervals[name] = (low + width, high - width)
+        return Box(**intervals)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data; an open side is None, since JSON has no infinity."""
+        return {"kind": "box", "intervals": _finite_intervals(self.intervals)}
+
+
+class ActionBox(Constraint):
+    """The actions whose named components lie in half-open intervals [low, high).
+
+    Args:
+      **intervals: for each named component (low, high), in its unit; +-inf leaves a side open.
+
+    Raises:
+      ValueError: if there is no interval, or one is empty or not a pair of numbers.
+    """
+
+    about_actions = True
+
+    def __init__(self, **intervals: tuple[float, float]) -> None:
+        self.intervals = _checked_intervals("ActionBox", intervals)
+
+    def __repr__(self) -> str:
+        """Return Python that makes this box again, to the last digit."""
+        return call("ActionBox", [], _sides(self.intervals))
+
+    @property
+    def name(self) -> str:
+        """For example 'action force [0.5, 2)'."""
+        return f"action {_intervals_name(self.intervals)}"
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a name is that of no component of the actions."""
+        for name in self.intervals:
+            if name not in action_names:
+                raise ValueError(
+                    f"ActionBox: no action component {name!r}; there are {', '.join(action_names)}"
+                )
+
+    def contains(self, states: Any, space: StateSpace) -> Any:
+        """Return [...] False: no state is forbidden."""
+        return nowhere(states)
+
+    def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
+        """Return [...] False: no state is forbidden."""
+        return nowhere(starts)
+
+    def forbids(self, actions: Actions) -> Any:
+        """Return [...] True where an action lies in the box."""
+        inside = True
+        for name, (low, high) in self.intervals.items():
+            value = actions.values[..., actions.names.index(name)]
+            inside = inside & (low <= value) & (value < high)
+        return inside
+
+    def among(self, mdp: MDP) -> np.ndarray:
+        """Return [A] which of the discretised actions of an MDP it forbids."""
+        table = np.asarray(mdp.actions, float)
+        return np.asarray(self.forbids(Actions(tuple(mdp.action_names), table)))
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return [...] infinity: it is about no states, so none is near it."""
+        return np.full(np.shape(states)[:-1], np.inf)
+
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> ActionBox:
+        """Return itself: the margin is about states."""
+        del margin, space
+        return self
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data; an open side is None, since JSON has no infinity."""
+        return {"kind": "action_box", "intervals": _finite_intervals(self.intervals)}
+
+
+def interval_distance(values: np.ndarray, low: Any, high: Any, is_angle: bool) -> np.ndarray:
+    """Return how far values are from intervals [low, high); by the shorter arc for angles."""
+    if not is_angle:
+        return np.maximum(0.0, np.maximum(low - values, values - high))
+    above, width = (values - low) % TWO_PI, high - low
+    return np.where(above < width, 0.0, np.minimum(above - width, TWO_PI - above))
+
+
+def interval_name(name: str, low: float, high: float) -> str:
+    """Return for example 'theta [3.14, 3.77)'."""
+    return f"{name} [{short(low)}, {short(high)})"
+
+
+def _intervals_name(intervals: dict[str, tuple[float, float]]) -> str:
+    return ", ".join(interval_name(name, low, high) for name, (low, high) in intervals.items())
+
+
+def _checked_intervals(
+    kind: str, intervals: dict[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    if not intervals:
+        raise ValueError(f"{kind}: expected at least one interval, as in {kind}(x=(0.0, 1.0))")
+    checked = {}
+    for name, interval in intervals.items():
+        pair = numbers(interval, 2)
+        if pair is None:
+            raise ValueError(f"{kind}: expected {name}=(low, high), got {interval!r}")
+        low, high = pair
+        if not low < high:
+            raise ValueError(
+                f"{kind}: expected low < high for {name!r}, got {interval!r}: give two numbers, "
+                "+-inf for an open side"
+            )
+        checked[name] = (low, high)
+    return checked
+
+
+def call(kind: str, arguments: Sequence[str], named: Mapping[str, str]) -> str:
+    """Return Python that makes a constraint, from the Python of its arguments."""
+    if all(name.isidentifier() and not keyword.iskeyword(name) for name in named):
+        return f"{kind}({', '.join([*arguments, *(f'{k}={v}' for k, v in named.items())])})"
+    pairs = ", ".join(f"{name!r}: {value}" for name, value in named.items())
+    return f"{kind}({', '.join([*arguments, f'**{{{pairs}}}'])})"
+
+
+def short(value: float) -> str:
+    """Return a number with three digits, 0 without a sign."""
+    return f"{value:.3g}" if value != 0 else "0"
+
+
+def _sides(intervals: dict[str, tuple[float, float]]) -> dict[str, str]:
+    """Return the Python of intervals."""
+    return {
+        name: f"({', '.join(_literal(value) for value in interval)})"
+        for name, interval in intervals.items()
+    }
+
+
+def _finite_intervals(intervals: dict[str, tuple[float, float]]) -> dict[str, list[float | None]]:
+    return {
+        name: [value if math.isfinite(value) else None for value in interval]
+        for name, interval in intervals.items()
+    }
+
+
+def _literal(value: float) -> str:
+    return repr(value) if math.isfinite(value) else f"float('{value}')"
+
+
+def _slabs(start: Any, step: Any, low: float, high: float, is_angle: bool) -> list[tuple[Any, Any]]:
+    """Return, for each image of [low, high), the part (enter, leave) of a segment inside it.
+
+    The segment is start + u * step with 0 <= u <= 1; enter >= leave where it misses the image.
+    """
+    xp = start.__array_namespace__()
+    if is_angle:
+        start, low, high = (start - low) % TWO_PI, 0.0, high - low
+    images = (-TWO_PI, 0.0, TWO_PI) if is_angle else (0.0,)
+    still = step == 0
+    divisor = xp.where(still, 1.0, step)
+    parts = []
+    for shift in images:
+        to_low, to_high = (low + shift - start) / divisor, (high + shift - start) / divisor
+        inside = (low + shift <= start) & (start < high + shift)
+        enter = xp.where(still, xp.where(inside, -math.inf, math.inf), xp.minimum(to_low, to_high))
+        leave = xp.where(still, xp.where(inside, math.inf, -math.inf), xp.maximum(to_low, to_high))
+        parts.append((enter, leave))
+    return parts

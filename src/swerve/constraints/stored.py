@@ -1,0 +1,43 @@
+"""Constraints from the data that they are stored as: the inverse of `Constraint.to_json`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from swerve.constraints.base import Constraint, Predicate, Union, missing_function
+from swerve.constraints.boxes import ActionBox, Box
+from swerve.constraints.occupancy import Occupancy
+from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+from swerve.constraints.state_action import StateAction
+
+
+def constraint_from_json(data: dict[str, Any]) -> Constraint:
+    """Rebuild a constraint from `to_json` data; a predicate comes back without its function."""
+    match data["kind"]:
+        case "union":
+            return Union(data["name"], [constraint_from_json(part) for part in data["constraints"]])
+        case "box":
+            return Box(**_intervals(data))
+        case "action_box":
+            return ActionBox(**_intervals(data))
+        case "ball":
+            return Ball(data["radius"], **data["centre"])
+        case "half_space":
+            return HalfSpace(data["offset"], **data["normal"])
+        case "polygon":
+            return Polygon(data["vertices"], data["names"], data["depth"])
+        case "state_action":
+            actions = ActionBox(**_intervals(data["actions"]))
+            return StateAction(constraint_from_json(data["states"]), actions)
+        case "occupancy":
+            return Occupancy.from_json(data)
+    return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
+
+
+def _intervals(data: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return the intervals of a box; a side that is None is open."""
+    return {
+        name: (-math.inf if low is None else low, math.inf if high is None else high)
+        for name, (low, high) in data["intervals"].items()
+    }

@@ -1,0 +1,248 @@
+"""Checks of recorded states and of tasks, before anything is computed from them.
+
+Every message says where (file, row, column), what was expected, what came, and what to do.
+
+Shapes: L samples, n state dimensions, g goal dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from swerve.base.space import MAX_HALF_EXTENTS, MAX_TURNS, TWO_PI, StateSpace, Task, Transitions
+
+START_TOLERANCE = 1e-3
+"""How far a first state may lie from the start of its task, and a start or a goal outside the
+bounds, in units of the extent of the state space."""
+
+LATTICE_TOLERANCE = 1e-3
+MAX_ARC = 0.45 * TWO_PI
+
+RowNamer = Callable[[int], str]
+
+
+def check_states(
+    states: np.ndarray,
+    times: np.ndarray | None,
+    space: StateSpace,
+    where: str,
+    *,
+    line_of: Callable[[int], int] | None = None,
+) -> None:
+    """Check the states of a demonstration before anything is computed from them.
+
+    Args:
+      states: [L, n] states.
+      times: [L] time of each state [s], or None.
+      space: what is known of the states.
+      where: the file or demonstration, for messages.
+      line_of: maps a row, counted from 0, to its line in the file.
+
+    Raises:
+      ValueError: if there are fewer than 2 states, a number is NaN or infinite, the times do not
+        strictly increase, a state is so far out that its unit must be wrong (more than
+        MAX_HALF_EXTENTS half extents from the middle of the bounds, MAX_TURNS turns for an
+        angle), or no whole number on a lattice, or an angle changes by more than MAX_ARC [rad]
+        between two samples.
+    """
+    check_path(states, times, space, where, line_of=line_of)
+    at = row_namer(where, line_of)
+    if not are_plausible(states, space):
+        check_finite(states, space.names, at)
+        _check_units(states, space, at)
+        if space.is_lattice:
+            _check_lattice(states, space, at)
+        _check_arcs(states, space, at)
+
+
+def check_path(
+    states: np.ndarray,
+    times: np.ndarray | None,
+    space: StateSpace,
+    where: str,
+    *,
+    line_of: Callable[[int], int] | None = None,
+) -> None:
+    """Check how many states and of how many numbers, and that time runs; as `check_states`."""
+    states = shaped(states, (None, len(space.names)), "states", where)
+    if len(states) < 2:
+        raise ValueError(f"{where}: expected at least 2 states, got {len(states)}")
+    if times is not None:
+        _check_times(shaped(times, (len(states),), "times", where), row_namer(where, line_of))
+
+
+def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
+    """Return whether paths of states [..., L, n] pass the checks of single states and of arcs."""
+    low, high = space.believable
+    if not ((states >= low) & (states <= high)).all():  # NaN is not either
+        return False
+    if space.is_lattice and _off_lattice(states).any():
+        return False
+    return not (space.is_angle.any() and _wide_arcs(states, space).any())
+
+
+def shaped(value: object, shape: Sequence[int | None], what: str, where: str) -> np.ndarray:
+    """Return a value as float64, of a shape in which None stands for any length."""
+    array = np.asarray(value, dtype=float)
+    fits = len(shape) == array.ndim and all(
+        size is None or size == found for size, found in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        sizes = str(tuple(shape)).replace("None", "any")
+        raise ValueError(f"{where}: expected {what} of shape {sizes}, got {array.shape}")
+    return array
+
+
+def row_namer(where: str, line_of: Callable[[int], int] | None) -> RowNamer:
+    """Return what says where a row, counted from 0, is: in which file, and on which line."""
+    return lambda row: (
+        f"{where}: row {row + 1}" + ("" if line_of is None else f" (line {line_of(row)})")
+    )
+
+
+def check_finite(values: np.ndarray, names: Sequence[str], at: RowNamer) -> None:
+    """Raise ValueError where one of the values [L, n] is NaN or infinite."""
+    finite = np.isfinite(values)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        raise ValueError(
+            f"{at(row)}, column {names[column]}: expected a finite number, got "
+            f"{values[row, column]}; remove or repair that row"
+        )
+
+
+def _check_times(times: np.ndarray, at: RowNamer) -> None:
+    rises = (times[1:] > times[:-1]).all()
+    if rises and math.isfinite(times[0]) and math.isfinite(times[-1]):
+        return
+    check_finite(times[:, None], ["t"], at)
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        before, after = (float(time) for time in times[late[0] : late[0] + 2])
+        raise ValueError(
+            f"{at(late[0])} has t = {before!r} and row {late[0] + 2} has t = {after!r}; expected "
+            f"times that strictly increase: sort the rows, or remove those recorded twice"
+        )
+
+
+def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
+    low, high = space.believable
+    far = np.argwhere((states < low) | (states > high))
+    if not far.size:
+        return
+    row, column = far[0]
+    problem = f"{at(row)}, column {space.names[column]}: {states[row, column]:.6g}"
+    if space.is_angle[column]:
+        raise ValueError(
+            f"{problem} is an angle of more than {MAX_TURNS} turns. Degrees? Radians are "
+            f"expected; if it is right, wrap it to [0, 2 pi)"
+        )
+    low, high = space.bounds[column]
+    raise ValueError(
+        f"{problem} is more than {MAX_HALF_EXTENTS} half-widths from the middle of the bounds "
+        f"[{low:.6g}, {high:.6g}]. Another unit? If it is right, widen the MDP's bounds"
+    )
+
+
+def _check_lattice(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
+    """Raise ValueError where a state [L, n] is between those that there are."""
+    for row, column in np.argwhere(_off_lattice(states))[:1]:
+        raise ValueError(
+            f"{at(row)}, column {space.names[column]}: {states[row, column]:.6g} lies between two "
+            "states: expected a whole number"
+        )
+
+
+def _off_lattice(states: np.ndarray) -> np.ndarray:
+    return np.abs(states - np.round(states)) > LATTICE_TOLERANCE
+
+
+def _wide_arcs(states: np.ndarray, space: StateSpace) -> np.ndarray:
+    """Return where [..., L-1, a] an angle goes too far from a state [..., L, n] to the next."""
+    angles = states[..., space.is_angle]
+    turned = angles[..., 1:, :] - angles[..., :-1, :]
+    return np.abs(turned - TWO_PI * np.round(turned / TWO_PI)) > MAX_ARC
+
+
+def _check_arcs(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
+    for row, angle in np.argwhere(_wide_arcs(states, space))[:1]:
+        column = np.flatnonzero(space.is_angle)[angle]
+        arcs = np.abs(space.difference(states[:-1], states[1:]))
+        raise ValueError(
+            f"{at(row + 1)}, column {space.names[column]}: {arcs[row, column]:.3f} rad from the "
+            f"row before, too close to pi to tell which way it turned (at most {MAX_ARC:.3f}); "
+            f"record at a higher sampling rate. Degrees? Radians are expected"
+        )
+
+
+def check_bounds(task: Task, space: StateSpace, goal_names: Sequence[str], where: str) -> None:
+    """Raise ValueError where a start, or a goal that is a state, is no state within the bounds."""
+    low, high = space.bounds.T
+    slack = START_TOLERANCE * space.extent
+    for part, state in task._asdict().items():
+        if part == "goal" and tuple(goal_names) != space.names:
+            continue
+        outside = ((state < low - slack) | (state > high + slack)) & ~space.is_angle
+        for column in np.flatnonzero(outside):
+            raise ValueError(
+                f"{where}: {part} {space.names[column]} = {state[column]:.6g} is outside the "
+                f"bounds [{low[column]:.6g}, {high[column]:.6g}] of the state space; correct it, "
+                f"or widen the MDP's bounds"
+            )
+        if space.is_lattice:
+            _check_lattice(state[None], space, lambda row, part=part: f"{where}: {part}")
+
+
+def check_start(state: np.ndarray, task: Task, space: StateSpace, where: str) -> None:
+    """Raise ValueError where a first state [n] is not the start of its task."""
+    distance = space.relative_distance(state, task.start)
+    if distance > START_TOLERANCE:
+        first, start = (
+            ", ".join(f"{name} = {x:.9g}" for name, x in zip(space.names, point, strict=True))
+            for point in (state, task.start)
+        )
+        raise ValueError(
+            f"{where}: the first state is {first}, but the task starts at {start}: {distance:.2g} "
+            f"of the extent apart, expected at most {START_TOLERANCE:g}; correct either"
+        )
+
+
+def check_transitions(
+    states: np.ndarray, actions: np.ndarray | None, transitions: Transitions, where: str
+) -> None:
+    """Raise ValueError where a step of states [L, n] is not what actions of a tabular MDP make.
+
+    Args:
+      states: [L, n].
+      actions: [L-1, m] or more, the one that is said to make each step; None: any may.
+      transitions: of the MDP.
+      where: the demonstration, for messages.
+    """
+    fits, rests = transitions.fits(states), transitions.rests(states)
+    for step in np.flatnonzero(~(fits.any(axis=1) | rests))[:1]:
+        before, after = states[step : step + 2].tolist()
+        raise ValueError(
+            f"{where}: step {step + 1} leads from {before} to {after}, which no action does: "
+            "correct the demonstration, or the transitions of the MDP"
+        )
+    if actions is None:
+        return
+    taken = transitions.action_number(actions[: len(fits)])
+    for step in np.flatnonzero(~(fits[np.arange(len(fits)), taken] | rests))[:1]:
+        before, after = states[step : step + 2].tolist()
+        raise ValueError(
+            f"{where}: step {step + 1} leads from {before} to {after}, which action "
+            f"{actions[step].tolist()} does not do"
+        )
+
+
+def check_horizon(num_moves: int, num_steps: int, where: str) -> None:
+    """Raise ValueError where a demonstration takes more steps than an episode of the MDP has."""
+    if num_moves > num_steps:
+        raise ValueError(
+            f"{where}: {num_moves} steps, more than the horizon of {num_steps}: correct the "
+            "demonstration, or raise num_steps"
+        )

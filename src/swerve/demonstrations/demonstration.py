@@ -1,0 +1,323 @@
+"""Demonstrations: reading, checking and writing them.
+
+A demonstration is what somebody did, with the task that they were given:
+
+    xi = s_0, ..., s_{L-1},   s_0 = task.start,   |difference(s_i, s_{i+1})| <= 0.9 pi for angles.
+
+It may be sampled at any rate, unevenly too, and its angles may be wrapped or not, as long as each
+angle takes its shorter arc between two samples. Files are read with NumPy; polars is imported for
+Parquet alone.
+
+Shapes: L samples, n state dimensions, m action dimensions, g goal dimensions, N tasks.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from swerve.base import store
+from swerve.base.space import StateSpace, Task
+from swerve.demonstrations.checks import (
+    check_bounds,
+    check_finite,
+    check_start,
+    check_states,
+    row_namer,
+    shaped,
+)
+from swerve.demonstrations.tables import csv_text, read_table
+
+MAX_ERRORS = 10  # files that cannot be used that are named
+
+AnyPath = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """States that somebody went through, and the task that they were given.
+
+    Attributes:
+      name: what results call it; the file name without its suffix.
+      states: [L, n] states, float64; angles wrapped or not [rad].
+      task: its start [n] and goal [g].
+      times: [L] time of each state [s], where known.
+      actions: [L-1, m] actions between the states, or [L, m] with one more that is not used.
+    """
+
+    name: str
+    states: np.ndarray
+    task: Task
+    times: np.ndarray | None = None
+    actions: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        states = shaped(self.states, (None, None), "states", self.name)
+        start = shaped(self.task.start, states.shape[1:], "a start", self.name)
+        goal = shaped(self.task.goal, (None,), "a goal", self.name)
+        object.__setattr__(self, "states", states)
+        object.__setattr__(self, "task", Task(start, goal))
+        if self.times is not None:
+            times = shaped(self.times, states.shape[:1], "times", self.name)
+            object.__setattr__(self, "times", times)
+        if self.actions is not None:
+            actions = shaped(self.actions, (None, None), "actions", self.name)
+            if len(states) - len(actions) not in (0, 1):
+                raise ValueError(
+                    f"{self.name}: expected {len(states) - 1} or {len(states)} actions for "
+                    f"{len(states)} states, got {len(actions)}"
+                )
+            object.__setattr__(self, "actions", actions)
+
+
+def read_demonstrations(
+    paths: AnyPath | Iterable[AnyPath],
+    space: StateSpace,
+    *,
+    tasks: AnyPath | None = None,
+    goal_names: Sequence[str] | None = None,
+    action_names: Sequence[str] = (),
+    goal_of: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> list[Demonstration]:
+    """Read and check demonstration files, one demonstration each.
+
+    The first line of a file names its columns: the states, `t` [s] if known, the actions if
+    known (none need follow the last state); all others are ignored.
+
+    Args:
+      paths: CSV or Parquet files.
+      space: names, angles and bounds of the states.
+      tasks: file with the start and goal of each demonstration, see `read_tasks`. The row of
+        demo_7.csv has `demo_7` or `7` in its `demo` column.
+      goal_names: the components of a goal; the states unless given.
+      action_names: the columns that hold actions.
+      goal_of: maps states [L, n] to the goal [g] where there is no tasks file; the last state
+        unless given.
+
+    Returns:
+      One demonstration for each path, in their order.
+
+    Raises:
+      OSError: if a file does not exist or cannot be opened.
+      ValueError: if a file cannot be understood, its states fail `check_states`, its task is not
+        known, lies outside the state space or starts elsewhere, or a path is given twice or is
+        that of the tasks.
+    """
+    files = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+    for file, count in Counter(path.resolve() for path in files).items():
+        if count > 1:
+            raise ValueError(f"{file} is given {count} times; give each demonstration once")
+    if tasks is not None and Path(tasks).resolve() in [path.resolve() for path in files]:
+        raise ValueError(
+            f"{tasks} is given as a demonstration and as the tasks; leave it out of one"
+        )
+    goal_names = space.names if goal_names is None else tuple(goal_names)
+    known = None if tasks is None else read_tasks(tasks, space, goal_names)
+
+    def read(path: Path) -> Demonstration:
+        states, times, actions = _read_trajectory(path, space, action_names)
+        if known is None:
+            goal = states[-1] if goal_of is None else goal_of(states)
+            task = Task(states[0], shaped(goal, (len(goal_names),), "a goal", str(path)))
+            check_bounds(task, space, goal_names, str(path))
+        else:
+            task = _find_task(path.stem, known, str(path), f"in {tasks}")
+            check_start(states[0], task, space, str(path))
+        return Demonstration(path.stem, states, task, times, actions)
+
+    return _read_all(files, read)
+
+
+def _read_all(files: list[Path], read: Callable[[Path], Demonstration]) -> list[Demonstration]:
+    """Read all files, and only then say what is wrong with which."""
+    demonstrations, errors = [], []
+    for path in files:
+        try:
+            demonstrations.append(read(path))
+        except ValueError as error:
+            errors.append(str(error))
+    if errors:
+        raise ValueError(_all_errors(errors, len(files)))
+    return demonstrations
+
+
+def _all_errors(errors: list[str], num_files: int) -> str:
+    """Return one message for all files that cannot be used."""
+    if len(errors) == 1:
+        return errors[0]
+    shown = errors[:MAX_ERRORS]
+    more = [f"... and {len(errors) - len(shown)} more"] if len(errors) > len(shown) else []
+    return "\n  ".join([f"{len(errors)} of {num_files} files cannot be used:", *shown, *more])
+
+
+def read_tasks(
+    path: AnyPath, space: StateSpace, goal_names: Sequence[str] | None = None
+) -> dict[str, Task]:
+    """Read tasks from a file with columns demo, start_<state name> and goal_<goal name>.
+
+    Args:
+      path: CSV or Parquet file.
+      space: names, angles and bounds of the states.
+      goal_names: the components of a goal; the states unless given.
+
+    Returns:
+      The task of each cell of the `demo` column, in the order of the file.
+
+    Raises:
+      OSError: if the file does not exist or cannot be opened.
+      ValueError: if the file cannot be understood, two rows have the same `demo`, or a start or a
+        goal lies outside the bounds of the states.
+    """
+    goal_names = space.names if goal_names is None else tuple(goal_names)
+    header = _tasks_header(space, goal_names)
+    table = read_table(Path(path), header[1:], label=header[0])
+    check_finite(table.values, table.names, row_namer(str(path), table.line_of))
+    starts, goals = np.split(table.columns(header[1:]), [len(space.names)], axis=1)
+    tasks: dict[str, Task] = {}
+    for demo, start, goal in zip(table.labels, starts, goals, strict=True):
+        if demo in tasks:
+            raise ValueError(f"{path}: two rows for demo {demo!r}; keep one of them")
+        tasks[demo] = Task(start, goal)
+        check_bounds(tasks[demo], space, goal_names, f"{path}: task {demo!r}")
+    return tasks
+
+
+def write_demonstrations(
+    directory: AnyPath,
+    demonstrations: Sequence[Demonstration],
+    space: StateSpace,
+    *,
+    action_names: Sequence[str] = (),
+    goal_names: Sequence[str] | None = None,
+) -> list[Path]:
+    """Write each demonstration to <name>.csv and their tasks to tasks.csv.
+
+    Numbers have 9 significant digits; times have all of theirs, since with 9 the seconds since
+    1970 would not increase. Where there is one action fewer than states, the last row has 0. A
+    file appears complete or not at all.
+
+    Args:
+      directory: where to write; created if need be.
+      demonstrations: what to write, each with a name of its own.
+      space: names, angles and bounds of the states.
+      action_names: the columns of the actions, which are not written without.
+      goal_names: the components of a goal; the states unless given.
+
+    Returns:
+      The path of each demonstration.
+
+    Raises:
+      FileExistsError: if one of the files exists already; then nothing is written.
+      ValueError: if a demonstration could not be read back: its states fail `check_states`, its
+        task does not fit, it lacks actions, or its name is no file name or taken already.
+    """
+    goal_names = space.names if goal_names is None else tuple(goal_names)
+    tasks, *paths = new_files(directory, [item.name for item in demonstrations])
+    texts = {tasks: _tasks_text(demonstrations, space, goal_names)}
+    for path, item in zip(paths, demonstrations, strict=True):
+        check_states(item.states, item.times, space, item.name)
+        texts[path] = _trajectory_text(item, space, action_names)
+    for path, text in texts.items():
+        store.write_text(path, text)
+    return paths
+
+
+def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
+    """Return the files that `write_demonstrations` writes: tasks.csv, then one for each name.
+
+    Raises:
+      FileExistsError: if one of them exists already.
+      ValueError: if a name is no file name, or two could not be told apart.
+    """
+    cells = Counter(_cell(name) for name in names)
+    for name in names:
+        if name in ("", "tasks") or Path(name).name != name.strip() or not name.isprintable():
+            raise ValueError(f"{name!r} cannot be the file name of a demonstration; rename it")
+        if cells[_cell(name)] > 1:
+            raise ValueError(
+                f"more than one demonstration would be {_cell(name)!r} in tasks.csv: rename"
+            )
+    paths = [Path(directory) / f"{name}.csv" for name in ("tasks", *names)]
+    for path in paths:
+        if path.exists():
+            raise FileExistsError(f"{path} exists already; choose another folder or remove it")
+    return paths
+
+
+def _cell(name: str) -> str:
+    """Return what a demonstration is called in tasks.csv."""
+    return name.removeprefix("demo_") or name
+
+
+def _find_task(name: str, tasks: dict[str, Task], where: str, source: str) -> Task:
+    names = list(dict.fromkeys([name, name.removeprefix("demo_")]))
+    cells = [cell for cell in names if cell in tasks]
+    if not cells:
+        raise ValueError(
+            f"{where}: no task {source}; expected a row with {' or '.join(names)} as demo"
+        )
+    if len(cells) > 1:
+        raise ValueError(f"{where}: two tasks {source}, {' and '.join(cells)}; rename one")
+    return tasks[cells[0]]
+
+
+def _read_trajectory(
+    path: Path, space: StateSpace, action_names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    table = read_table(path, space.names, optional=("t", *action_names))
+    states = table.columns(space.names)
+    times = table.columns(["t"])[:, 0] if "t" in table.names else None
+    check_states(states, times, space, str(path), line_of=table.line_of)
+    missing = [name for name in action_names if name not in table.names]
+    if len(missing) == len(action_names):
+        return states, times, None
+    if missing:
+        raise ValueError(
+            f"{path}: no column {', '.join(missing)}; expected all of the actions "
+            f"{', '.join(action_names)}, or none"
+        )
+    actions = table.columns(action_names)
+    if np.isnan(actions[-1]).all():  # none follows the last state
+        actions = actions[:-1]
+    check_finite(actions, action_names, row_namer(str(path), table.line_of))
+    return states, times, actions
+
+
+def _tasks_header(space: StateSpace, goal_names: Sequence[str]) -> list[str]:
+    return ["demo", *(f"start_{name}" for name in space.names), *(f"goal_{n}" for n in goal_names)]
+
+
+def _tasks_text(
+    demonstrations: Sequence[Demonstration], space: StateSpace, goal_names: Sequence[str]
+) -> str:
+    tasks: dict[str, Task] = {}
+    for item in demonstrations:
+        name, task = item.name, item.task
+        shaped(task.goal, (len(goal_names),), "a goal", name)
+        check_bounds(task, space, goal_names, name)
+        check_start(item.states[0], task, space, name)
+        tasks[_cell(name)] = task
+    for item in demonstrations:
+        _find_task(item.name, tasks, item.name, "in tasks.csv")
+    rows = [[cell, *(f"{x:.9g}" for x in np.concatenate(task))] for cell, task in tasks.items()]
+    return csv_text([_tasks_header(space, goal_names), *rows])
+
+
+def _trajectory_text(item: Demonstration, space: StateSpace, action_names: Sequence[str]) -> str:
+    header, values = [*space.names, *action_names], item.states
+    if action_names:
+        if item.actions is None:
+            raise ValueError(f"{item.name}: expected actions {', '.join(action_names)}, got none")
+        actions = shaped(item.actions, (None, len(action_names)), "actions", item.name)
+        check_finite(actions, action_names, row_namer(item.name, None))
+        values = np.hstack([values, np.pad(actions, [(0, len(values) - len(actions)), (0, 0)])])
+    rows = [[f"{x:.9g}" for x in row] for row in values]
+    if item.times is not None:
+        header = ["t", *header]
+        rows = [[repr(float(t)), *row] for t, row in zip(item.times, rows, strict=True)]
+    return csv_text([header, *rows])

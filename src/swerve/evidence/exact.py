@@ -1,0 +1,108 @@
+"""Exact answers in the form of evidence.
+
+A solver that works pi_0 out, rather than sample it, gives log Z_0, Z_c / Z_0 for each hypothesis,
+and a few trajectories drawn from pi_0 itself, for pictures. For each of them
+
+    log pi_0(xi) = beta R(xi) + log m(xi) - log Z_0.
+
+Shapes: M trajectories drawn, T steps, n states, H hypotheses, B = ceil(H / 8) bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve.base.space import Task
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.samples import EXACT, NUM_ISLANDS, Samples, log_weights, summarise
+from swerve.problem.problem import ProblemRecord
+
+
+class Drawn(NamedTuple):
+    """Trajectories drawn from pi_0; after its end one repeats its last state.
+
+    Attributes:
+      states: [M, T+1, n].
+      total_reward: [M] R(xi).
+      length: [M] steps taken.
+      violations: [M, B] packed bits.
+    """
+
+    states: np.ndarray
+    total_reward: np.ndarray
+    length: np.ndarray
+    violations: np.ndarray
+
+
+class ExactAnswer(NamedTuple):
+    """What is so for one task.
+
+    Attributes:
+      log_partition: log Z_0, nats.
+      log_ratio: [H] log Z_c / Z_0, nats; -inf where nothing avoids a hypothesis.
+      drawn: trajectories from pi_0.
+      step: seconds between two states of those, where not the MDP's dt.
+    """
+
+    log_partition: float
+    log_ratio: np.ndarray
+    drawn: Drawn
+    step: float | None = None
+
+    @property
+    def avoid_probability(self) -> np.ndarray:
+        """[H] Z_c / Z_0; 0 where it is too small for a number."""
+        return np.exp(self.log_ratio)
+
+
+def exact_evidence(
+    record: ProblemRecord, task: Task, answer: ExactAnswer, solver: str, seed: int
+) -> Evidence:
+    """Return the evidence of one task, whose estimates have no error.
+
+    Raises:
+      ValueError: if log Z_0 is not finite.
+    """
+    log_partition, drawn = answer.log_partition, answer.drawn
+    if not math.isfinite(log_partition):
+        raise ValueError(
+            f"no trajectory is allowed, log Z_0 = {log_partition}: the goal cannot be reached "
+            f"within the horizon of {record.num_steps} steps, or known constraints are in the way"
+        )
+    numbers = Samples(
+        total_reward=drawn.total_reward[None],
+        log_probability=np.zeros((1, len(drawn.length))),
+        length=drawn.length[None],
+        log_correction=np.zeros((1, len(drawn.length))),
+        ancestor=np.arange(len(drawn.length))[None],
+        violations=drawn.violations[None],
+        kept=drawn.states[None],
+        soft_value=np.array([log_partition]),
+    )
+    samples = numbers._replace(log_probability=log_weights(record, numbers) - log_partition)
+    timed = record if answer.step is None else dataclasses.replace(record, dt=answer.step)
+    summary = summarise(timed, samples, EXACT)._replace(
+        avoid_probability=answer.avoid_probability[None],
+        avoid_variance=np.zeros((1, len(answer.log_ratio))),
+        log_ratio=answer.log_ratio[None],
+        log_ratio_error=np.zeros((1, len(answer.log_ratio))),
+        log_partition=np.array([log_partition]),
+        kl=np.zeros(1),
+        island_log_partition=np.full((1, NUM_ISLANDS), log_partition),
+        avoid_without_island=answer.avoid_probability[None, None].astype(np.float32),
+        effective_sample_size=np.array([float(len(drawn.length))]),
+    )
+    return Evidence(
+        problem=record,
+        tasks=Task(task.start[None], task.goal[None]),
+        method=EXACT,
+        num_trajectories=len(drawn.length),
+        solver=solver,
+        seed=seed,
+        summary=summary,
+        load_samples=lambda: samples,
+    )

@@ -1,0 +1,209 @@
+"""Sets of hypothesised constraints, and which of them a batch of trajectories enters.
+
+The result for N trajectories and H hypotheses is packed: one bit per (trajectory, hypothesis),
+[N, ceil(H / 8)] bytes, bit h & 7 of byte h >> 3 (NumPy's bitorder="little").
+
+Shapes: N trajectories, T steps, n state dimensions, H hypotheses.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from swerve.base.arguments import whole_number
+from swerve.base.space import Actions, StateSpace
+from swerve.constraints.base import Constraint, check_constraints, violates
+from swerve.constraints.stored import constraint_from_json
+
+
+class HypothesisSet(ABC):
+    """H hypotheses, numbered 0 to H - 1."""
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def constraint(self, index: int) -> Constraint:
+        """Return hypothesis `index` as a constraint."""
+
+    @abstractmethod
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)], set where a trajectory enters a hypothesis.
+
+        Args:
+          states: [N, T+1, n] trajectories.
+          space: what the n components are.
+          between_states: whether the segments between states count as well.
+          actions: [N, T, m], which must be there if hypotheses are about actions.
+        """
+
+    @abstractmethod
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a hypothesis does not fit the states or the actions."""
+
+    @property
+    @abstractmethod
+    def state_names(self) -> tuple[str, ...]:
+        """The states that the hypotheses speak of, in the order in which to draw them."""
+
+    @property
+    def needs_code(self) -> bool:
+        """Whether judging a trajectory needs functions that no file can hold."""
+        return False
+
+    @property
+    def about_actions(self) -> bool:
+        """Whether judging a trajectory needs its actions."""
+        return False
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data from which `hypotheses_from_json` rebuilds the set."""
+
+    def _check_index(self, index: int) -> None:
+        if not 0 <= index < len(self):
+            raise ValueError(f"hypothesis {index}: expected an index from 0 to {len(self) - 1}")
+
+    def name(self, index: int) -> str:
+        """Return the name of hypothesis `index`."""
+        return self.constraint(index).name
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [..., H] from states [..., n] to each hypothesis.
+
+        Raises:
+          ValueError: if a hypothesis has none, see `Constraint.distance`.
+        """
+        states = np.asarray(states, float)
+        each = [self.constraint(index).distance(states, space) for index in range(len(self))]
+        return np.stack(each, axis=-1)
+
+    def eroded(self, margin: Mapping[str, float], space: StateSpace) -> HypothesisSet:
+        """Return as many hypotheses, each less a margin for measurement noise.
+
+        Args:
+          margin: for some states, how deep inside one must be, in the state's unit.
+          space: what the states are.
+
+        Raises:
+          ValueError: if a margin is negative or no number, is of no state, or leaves nothing of a
+            hypothesis.
+        """
+        each = (self.constraint(index).eroded(margin, space) for index in range(len(self)))
+        return ConstraintHypotheses(each)
+
+
+class ConstraintHypotheses(HypothesisSet):
+    """A list of constraints. The cost of judging a trajectory grows with their number."""
+
+    def __init__(self, constraints: Iterable[Constraint]) -> None:
+        if isinstance(constraints, Constraint) or not isinstance(constraints, Iterable):
+            raise ValueError(
+                f"hypotheses: expected a list of constraints, or one of swerve.grid and "
+                f"swerve.windows, got {constraints!r}"
+            )
+        self.constraints = tuple(constraints)
+        if not self.constraints:
+            raise ValueError("hypotheses: expected at least one constraint, got an empty list")
+
+    def __len__(self) -> int:
+        return len(self.constraints)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The states that constraints name, in order of first mention."""
+        return tuple(dict.fromkeys(name for c in self.constraints for name in c.spans))
+
+    @property
+    def needs_code(self) -> bool:
+        """Whether there are predicates among them."""
+        return any(constraint.needs_code for constraint in self.constraints)
+
+    @property
+    def about_actions(self) -> bool:
+        """Whether one of them forbids actions."""
+        return any(constraint.about_actions for constraint in self.constraints)
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a constraint does not fit the states or the actions."""
+        check_constraints(self.constraints, space, action_names, "hypotheses")
+
+    def constraint(self, index: int) -> Constraint:
+        """Return constraint `index`."""
+        self._check_index(index)
+        return self.constraints[index]
+
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)]."""
+        states = np.asarray(states, np.float64)
+        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        for index, constraint in enumerate(self.constraints):
+            hit = violates(constraint, states, space, between_states, actions)
+            bits[:, index >> 3] |= np.left_shift(hit, index & 7, dtype=np.uint8)
+        return bits
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        return {"kind": "constraints", "constraints": [c.to_json() for c in self.constraints]}
+
+
+def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
+    """Rebuild hypotheses from `to_json` data."""
+    if data["kind"] == "grid":
+        from swerve.hypotheses.grid import GridHypotheses
+
+        return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
+    if data["kind"] == "windows":
+        from swerve.hypotheses.windows import windows
+
+        return windows(data["overlap"], **data["axes"])
+    return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
+
+
+def unpack(bits: np.ndarray, num_hypotheses: int) -> np.ndarray:
+    """Return booleans [..., H] from packed bits [..., ceil(H / 8)]."""
+    unpacked = np.unpackbits(bits, axis=-1, count=num_hypotheses, bitorder="little")
+    return unpacked.astype(bool)
+
+
+def pack_sets(sets: Sequence[Sequence[int]], num_hypotheses: int) -> np.ndarray:
+    """Return sets of hypotheses as packed bits [S, ceil(H / 8)].
+
+    Raises:
+      ValueError: if one is no list of indices, or there is no hypothesis of an index.
+    """
+    members = np.zeros((len(sets), num_hypotheses), bool)
+    for k, indices in enumerate(sets):
+        if np.ndim(indices) != 1:
+            raise ValueError(
+                f"avoiding[{k}]: expected a list of hypotheses, as in [[], [3], [3, 7]], got "
+                f"{indices!r}"
+            )
+        for index in indices:
+            if whole_number(index, f"avoiding[{k}]", 0) >= num_hypotheses:
+                last = num_hypotheses - 1
+                raise ValueError(f"avoiding[{k}]: expected indices from 0 to {last}, got {index}")
+            members[k, index] = True
+    return np.packbits(members, axis=1, bitorder="little")
+
+
+def enters_set(violations: np.ndarray, members: np.ndarray) -> np.ndarray:
+    """Return whether packed bits [N, B] have one of a set in them, packed bits [B]."""
+    columns = np.flatnonzero(members)
+    return np.asarray((violations[:, columns] & members[columns]).any(axis=1))

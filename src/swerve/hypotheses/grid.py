@@ -1,0 +1,250 @@
+"""Boxes in regular order: the cells of a grid, where the cost of judging does not grow with H.
+
+The cell of a state is index arithmetic,
+
+    cell_d = floor((x_d - low_d) / width_d),
+
+and a segment enters a cell wherever it crosses a grid line. The result is packed as in
+`hypotheses`.
+
+Shapes: N trajectories, T steps, n state dimensions, d grid dimensions, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from swerve.base.arguments import numbers
+from swerve.base.space import Actions, StateSpace
+from swerve.constraints.boxes import Box, interval_distance
+from swerve.hypotheses.base import HypothesisSet
+from swerve.hypotheses.grid_axis import GridAxis
+
+BLOCK = 1 << 16  # states judged at once: what is worked out for them stays in cache
+
+
+class BoxHypotheses(HypothesisSet):
+    """Boxes of one size in regular order, the last axis fastest: cells of a grid, or windows."""
+
+    shape: tuple[int, ...]
+    """How many there are along each axis."""
+
+    @abstractmethod
+    def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return for each axis where its boxes begin and end."""
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the axes."""
+        return tuple(self.edges())
+
+    def constraint(self, index: int) -> Box:
+        """Return one of them as a box."""
+        self._check_index(index)
+        place = np.unravel_index(index, self.shape)
+        return Box(
+            **{
+                name: (float(low[k]), float(high[k]))
+                for k, (name, (low, high)) in zip(place, self.edges().items(), strict=True)
+            }
+        )
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the distance [..., H] from states [..., n] to each box."""
+        states = np.asarray(states, float)
+        square = np.zeros((*states.shape[:-1], 1))
+        for name, (low, high) in self.edges().items():
+            values = states[..., space.column(name), None]
+            along = interval_distance(values, low, high, name in space.angles) ** 2
+            square = (square[..., None] + along[..., None, :]).reshape(*states.shape[:-1], -1)
+        return np.sqrt(square)
+
+
+class GridHypotheses(BoxHypotheses):
+    """The cells of a regular grid over some of the states; made by `grid`.
+
+    The last named state varies fastest: with axes theta and omega of 10 cells each,
+    cell = 10 * theta_index + omega_index.
+    """
+
+    def __init__(self, axes: dict[str, tuple[float, float, int]]) -> None:
+        if not axes:
+            raise ValueError("grid: expected at least one axis, as in grid(x=(0.0, 1.0, 10))")
+        self.axes = {name: _checked_axis(name, axis) for name, axis in axes.items()}
+        self.shape = tuple(cells for _, _, cells in self.axes.values())
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where an axis is no state or an angle axis exceeds a full turn."""
+        self._bounding_box().check(space, action_names)
+
+    def _bounding_box(self) -> Box:
+        return Box(**{name: (low, high) for name, (low, high, _) in self.axes.items()})
+
+    def cells(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the cell [...] of each state [..., n], or -1 outside the grid."""
+        axes = self._lines(space)
+        return _join(axes, [axis.index(axis.position(states)) for axis in axes])
+
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)]; the cost is that of the lines crossed, not of H."""
+        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        size = max(1, BLOCK // states.shape[1])
+        for first in range(0, len(states), size):
+            block = np.asarray(states[first : first + size], np.float64)
+            self._judge(bits[first : first + size], block, space, between_states)
+        return bits
+
+    def _judge(
+        self, bits: np.ndarray, states: np.ndarray, space: StateSpace, between_states: bool
+    ) -> None:
+        """Set the bits of the cells that trajectories [N, T+1, n] enter."""
+        axes = self._lines(space)
+        indices = [axis.index(axis.position(states)) for axis in axes]
+        moved = np.ones(states.shape[:-1], bool)
+        moved[:, 1:] = False
+        for axis, index in zip(axes, indices, strict=True):
+            moved[:, 1:] |= index[:, 1:] != index[:, :-1]
+            if axis.has_gap:
+                moved[:, 1:] |= axis.in_gap(index[:, :-1])
+        _set_bits(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
+        if between_states:
+            trajectory, step = np.nonzero(moved[:, 1:])
+            starts, ends = states[trajectory, step], states[trajectory, step + 1]
+            steps = space.difference(starts, ends)
+            spans = []
+            for axis, index in zip(axes, indices, strict=True):
+                last = axis.turned(index[trajectory, step + 1], starts, ends, steps)
+                spans.append((index[trajectory, step], last))
+            segment, cell = _crossed_cells(axes, starts, steps, spans)
+            _set_bits(bits, trajectory[segment], cell)
+
+    def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return for each axis where its cells begin and end."""
+        ends = {}
+        for name, (low, high, count) in self.axes.items():
+            lines = low + np.arange(count + 1) * ((high - low) / count)
+            ends[name] = (lines[:-1], lines[1:])
+        return ends
+
+    def _lines(self, space: StateSpace) -> list[GridAxis]:
+        return [
+            GridAxis(space.column(name), low, high, count, name in space.angles)
+            for name, (low, high, count) in self.axes.items()
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        return {"kind": "grid", "axes": {name: list(axis) for name, axis in self.axes.items()}}
+
+
+def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
+    """Hypothesise every cell of a regular grid.
+
+    Args:
+      **axes: for each state (low, high, number of cells), in that state's unit. An angle's range
+        may lie anywhere and span at most 2 pi.
+
+    Returns:
+      Hypotheses numbered with the last axis fastest.
+
+    Raises:
+      ValueError: if there is no axis, or one has low >= high or no cell.
+    """
+    return GridHypotheses(axes)
+
+
+def checked_range(kind: str, name: str, axis: Any, third: str) -> tuple[float, float, float]:
+    """Return (low, high) of an axis, checked, and a third number, NaN if it is none.
+
+    Raises:
+      ValueError: if there are not three numbers, or low and high are not finite and in order.
+    """
+    given = numbers(axis, 3)
+    if given is None:
+        raise ValueError(f"{kind}: expected {name}=(low, high, {third}), got {axis!r}")
+    low, high, last = given
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        first, second, _ = axis
+        raise ValueError(
+            f"{kind}: expected finite low < high for {name!r}, got ({first!r}, {second!r})"
+        )
+    return low, high, last
+
+
+def _crossed_cells(
+    axes: list[GridAxis],
+    starts: np.ndarray,
+    steps: np.ndarray,
+    spans: list[tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (segment, cell) for the cells between the two ends of each segment.
+
+    Wherever a segment crosses a grid line it enters a cell: the line tells its index along one
+    axis, the position there its indices along the others. Segments that cross fewer than two
+    lines have no cell between their ends.
+
+    Args:
+      axes: of the grid.
+      starts: [S, n] where segments begin.
+      steps: [S, n] how far they go.
+      spans: for each axis the extended indices [S] of their two ends.
+    """
+    num_lines = sum(np.abs(last - first) for first, last in spans)
+    many = np.flatnonzero(num_lines >= 2)
+    if not many.size:
+        return many, many
+    starts, steps = starts[many], steps[many]
+    spans = [(first[many], last[many]) for first, last in spans]
+    segments, cells = [], []
+    for axis, span in zip(axes, spans, strict=True):
+        segment, entered, fraction = axis.crossings(starts, steps, *span)
+        indices = [
+            entered
+            if other is axis
+            else other.index_after(
+                starts[segment], steps[segment], fraction, first[segment], last[segment]
+            )
+            for other, (first, last) in zip(axes, spans, strict=True)
+        ]
+        segments.append(many[segment])
+        cells.append(_join(axes, indices))
+    return np.concatenate(segments), np.concatenate(cells)
+
+
+def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:
+    """Return the cell numbers of extended indices, one array an axis, or -1 outside the grid."""
+    cell, inside = np.zeros(indices[0].shape, np.int64), np.True_
+    for axis, index in zip(axes, indices, strict=True):
+        along = axis.cell(index)
+        inside = inside & (along >= 0) & (along < axis.count)
+        cell = cell * axis.count + along
+    return np.where(inside, cell, -1)
+
+
+def _set_bits(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
+    """Set bit cells[k] of row rows[k], leaving out cells of -1."""
+    inside = cells >= 0
+    rows, cells = rows[inside], cells[inside]
+    flat = rows * bits.shape[1] + (cells >> 3)
+    np.bitwise_or.at(bits.reshape(-1), flat, np.left_shift(1, cells & 7).astype(np.uint8))
+
+
+def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, int]:
+    low, high, cells = checked_range("grid", name, axis, "number of cells")
+    if not cells.is_integer() or cells < 1:
+        raise ValueError(f"grid: expected a whole number of cells for {name!r}, got {axis[2]!r}")
+    return low, high, int(cells)

@@ -1,0 +1,157 @@
+"""Overlapping windows: boxes of one size, slid by a part of their sides.
+
+Whether a regular grid of cells finds an obstacle hangs on where its lines are. Windows of side w,
+moved by w / k along each axis, fit to within w / 2k wherever it is. They are judged as the cells of
+a grid of side w / k are, of which a window is k along every axis:
+
+    window i is entered    where one of the cells i, ..., i + k - 1 is.
+
+Shapes: N trajectories, d axes, F cells, H windows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from swerve.base.arguments import whole_number
+from swerve.base.space import TWO_PI, Actions, StateSpace
+from swerve.hypotheses.base import unpack
+from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
+
+AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
+ROUNDING = 1e-9  # of a stride
+
+
+class WindowHypotheses(BoxHypotheses):
+    """Overlapping windows along some of the states; made by `windows`.
+
+    The last named state varies fastest. A window lies within [low, high] of every axis; where
+    strides fill the full turn of an angle, windows go round.
+    """
+
+    def __init__(self, axes: dict[str, tuple[float, float, float]], overlap: int) -> None:
+        self.overlap = whole_number(overlap, "windows: overlap", 1)
+        if not axes:
+            raise ValueError(
+                "windows: expected at least one axis, as in windows(x=(0.0, 10.0, 0.75))"
+            )
+        self.axes = {name: _checked_axis(name, axis) for name, axis in axes.items()}
+        cells = {}
+        for name, (low, high, width) in self.axes.items():
+            count = math.floor((high - low) / width * self.overlap + ROUNDING)
+            cells[name] = (low, low + count * width / self.overlap, count)
+        self._cells = GridHypotheses(cells)
+        self._goes_round = [
+            abs(high - low - TWO_PI) < ROUNDING for low, high, _ in self._cells.axes.values()
+        ]
+        self.shape = tuple(
+            count if goes_round else count - self.overlap + 1
+            for count, goes_round in zip(self._cells.shape, self._goes_round, strict=True)
+        )
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where an axis is no state, or goes round and is no angle."""
+        self._cells.check(space, action_names)
+        for name, goes_round in zip(self.axes, self._goes_round, strict=True):
+            if goes_round and name not in space.angles:
+                raise ValueError(
+                    f"windows: {name!r} has the range of a full turn, 2 pi, but is no angle: make "
+                    "the range a little wider"
+                )
+
+    def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return for each axis where its windows begin and end."""
+        ends = {}
+        for (name, (low, high, count)), num in zip(
+            self._cells.axes.items(), self.shape, strict=True
+        ):
+            stride = (high - low) / count
+            first = np.arange(num)
+            ends[name] = (low + first * stride, low + (first + self.overlap) * stride)
+        return ends
+
+    def violations(
+        self,
+        states: np.ndarray,
+        space: StateSpace,
+        between_states: bool,
+        actions: Actions | None = None,
+    ) -> np.ndarray:
+        """Return packed bits [N, ceil(H / 8)]; the cost is that of the cells, F, and of H."""
+        cells = self._cells.violations(states, space, between_states, actions)
+        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        size = max(1, AT_ONCE // len(self._cells))
+        for first in range(0, len(states), size):
+            entered = unpack(cells[first : first + size], len(self._cells))
+            windows = self._dilated(entered.reshape(-1, *self._cells.shape))
+            flat = windows.reshape(len(entered), -1)
+            bits[first : first + size] = np.packbits(flat, axis=1, bitorder="little")
+        return bits
+
+    def _dilated(self, entered: np.ndarray) -> np.ndarray:
+        """Return which windows [N, ...] have one of the cells [N, ...] in them that are entered."""
+        for axis, num in enumerate(self.shape, start=1):
+            if self._goes_round[axis - 1]:
+                entered = np.concatenate(
+                    [entered, entered.take(range(self.overlap - 1), axis=axis, mode="wrap")], axis
+                )
+            parts = np.moveaxis(entered, axis, 0)
+            together = parts[:num].copy()
+            for k in range(1, self.overlap):
+                together |= parts[k : k + num]
+            entered = np.moveaxis(together, 0, axis)
+        return entered
+
+    def best_of_cells(self, values: np.ndarray) -> tuple[GridHypotheses, np.ndarray]:
+        """Return the cells that windows are made of, and the largest value [F] over each.
+
+        Args:
+          values: [H] a number for each window.
+        """
+        best = values.reshape(self.shape)
+        for axis, goes_round in enumerate(self._goes_round):
+            rows = np.moveaxis(best, axis, 0)
+            edge = np.full((self.overlap - 1, *rows.shape[1:]), -np.inf)
+            before = rows[len(rows) - self.overlap + 1 :] if goes_round else edge
+            rows = np.concatenate([before, rows] if goes_round else [edge, rows, edge])
+            num = len(rows) - self.overlap + 1
+            covering = [rows[k : k + num] for k in range(self.overlap)]
+            best = np.moveaxis(np.max(covering, axis=0), 0, axis)
+        return self._cells, best.ravel()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        axes = {name: list(axis) for name, axis in self.axes.items()}
+        return {"kind": "windows", "axes": axes, "overlap": self.overlap}
+
+
+def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypotheses:
+    """Hypothesise overlapping windows of one size, slid along every axis.
+
+    Args:
+      overlap: k, of how many strides a window is wide: it is moved by width / k.
+      **axes: for each state (low, high, width), in that state's unit. Windows lie within
+        [low, high], from low on; what is left of a stride at the high end is in none. Where
+        strides fill the full turn of an angle they go round.
+
+    Returns:
+      Hypotheses numbered with the last axis fastest.
+
+    Raises:
+      ValueError: if there is no axis, low >= high, or a width is not above 0 and within the range.
+    """
+    return WindowHypotheses(axes, overlap)
+
+
+def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, float]:
+    low, high, width = checked_range("windows", name, axis, "width")
+    if not 0.0 < width <= (high - low) * (1.0 + ROUNDING):
+        raise ValueError(
+            f"windows: expected a width above 0 and at most {high - low:g}, the range of {name!r}, "
+            f"got {axis[2]!r}"
+        )
+    return low, high, width

@@ -1,0 +1,233 @@
+"""Several constraints, one after another: greedy selection (Scobee & Sastry, 2019, Algorithm 2).
+
+With C in force the likelihood of the demonstrations, each of which ignores it with probability eps,
+is (see `likelihood`)
+
+    log L(C) = sum_d log(eps + (1 - eps) 1[d avoids C] Z_0 / Z_C(task of d)),
+
+where for each task C is what counts for it. The next pick is the hypothesis c of the largest gain
+log L(C + c) - log L(C), which with eps = 0 is
+
+    - sum_d log P(avoid c | avoid C)    over the c that no demonstration enters,
+
+D times what it takes off KL(demonstrations || pi_C), see `rewards.divergence`. It ends where the
+gain falls below a threshold, or one more constraint, whichever, is less probable than no more.
+
+Shapes: K tasks, H hypotheses, D demonstrations, M hypotheses asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from swerve.base.arguments import instance, number_or_nan, positive_number, whole_number
+from swerve.evidence.estimators import LogRatio
+from swerve.inference import likelihood, posterior
+from swerve.inference.conditional import Coverage, coverage
+from swerve.inference.ranking import Inference
+
+if TYPE_CHECKING:
+    from swerve.solvers.learn import ExactNominal
+
+TIED = 1e-9  # relative: gains closer than this are one, and the lowest index is taken
+NEAR = 1e-6  # relative: gains closer than this are looked at with all their digits
+
+
+class Pick(NamedTuple):
+    """One constraint that was picked.
+
+    Attributes:
+      hypothesis: its index.
+      gain: nats a demonstration by which it raises the likelihood, given those before it; where
+        next to no sample is left that avoids it, no more than the samples can tell.
+      standard_error: of the gain, nats, those before it taken as known; by how far islands differ
+        where trajectories share ancestors; 0 where answers are exact, infinite where no sample of
+        a task is left that could tell, or where those that are left are of one island.
+      log_partition: [K] log Z_C with this one and all before it in force, nats.
+      total_gain: nats of all demonstrations together.
+      log_odds: posterior odds of one more constraint, whichever, against no more when it was
+        picked, nats; with prior odds of 1 unless others were given.
+    """
+
+    hypothesis: int
+    gain: float
+    standard_error: float
+    log_partition: np.ndarray
+    total_gain: float
+    log_odds: float
+
+
+def greedy(
+    inference: Inference,
+    nominal: ExactNominal | None = None,
+    *,
+    threshold: float = likelihood.THRESHOLD,
+    odds: float | None = None,
+    most: int | None = None,
+) -> list[Pick]:
+    """Pick constraints one after another, as long as each explains enough.
+
+    Args:
+      inference: from `infer`, whose tolerance, margin, clearance and prior hold for every pick. The
+        trajectories of its evidence are reweighed for what is picked. What `resolve` worked out
+        counts for the first pick; those after it are told by trajectories alone.
+      nominal: where the evidence is exact, the nominal distribution of the solver that it came
+        from, which is worked out anew with what is picked in force.
+      threshold: least gain [nats a demonstration].
+      odds: prior odds of one more constraint against no more; it then ends as well where the
+        posterior odds are below 1. They are the prior odds times the mean of exp(total gain) over
+        the hypotheses that are not picked yet, by their prior, with 0 for those struck out. If None
+        that rule is left out.
+      most: picks at most; any number if None.
+
+    Returns:
+      The picks, in order. What speaks against the samples they rest on is in the inference's
+      `warnings`.
+
+    Raises:
+      ValueError: if there is no demonstration, the threshold is below zero or no number, the odds
+        are not above 0, or the evidence is exact and the nominal that it came from is not given.
+    """
+    instance(inference, Inference, "inference", "make one with swerve.infer")
+    expected = "a number >= 0 (nats a demonstration)"
+    if not 0.0 <= number_or_nan(threshold) < math.inf:
+        raise ValueError(f"threshold: expected {expected}, got {threshold}")
+    log_prior_odds = 0.0 if odds is None else math.log(positive_number(odds, "odds"))
+    most = None if most is None else whole_number(most, "most", 1)
+    covered, in_force = coverage(inference, nominal), InForce(inference)
+    picks: list[Pick] = []
+    while most is None or len(picks) < most:
+        if picks:
+            covered.add(picks[-1].hypothesis)
+        pick = _best(inference, in_force, covered)
+        if pick is None or pick.gain < max(threshold, TIED):
+            break
+        pick = pick._replace(log_odds=pick.log_odds + log_prior_odds)
+        if odds is not None and pick.log_odds < 0.0:
+            break
+        in_force.add(pick.hypothesis, pick.log_partition)
+        picks.append(pick)
+    return picks
+
+
+def _best(inference: Inference, in_force: InForce, covered: Coverage) -> Pick | None:
+    """Return the hypothesis of the largest gain among those left, None where none gains."""
+    num = in_force.num_demonstrations
+    total_gain = in_force.gains(covered.log_ratio)
+    near = in_force.near_best(total_gain)
+    if not len(near):
+        return None
+    refined = covered.refined(near)
+    total_gain[near] = in_force.gains(refined.value, near)
+    best = float(total_gain[near].max()) / num
+    is_best = total_gain[near] / num >= best - TIED * max(1.0, best)
+    place = int(np.flatnonzero(is_best)[0])
+    index, gain = int(near[place]), float(total_gain[near[place]])
+    log_ratio = LogRatio(refined.value[:, place], refined.standard_error[:, place])
+    return Pick(
+        hypothesis=index,
+        gain=gain / num,
+        standard_error=in_force.gain_error(index, log_ratio) / num,
+        log_partition=in_force.log_partition
+        + np.where(inference.is_counted[:, index], log_ratio.value, 0.0),
+        total_gain=gain,
+        log_odds=in_force.log_bayes_factor(total_gain),
+    )
+
+
+class InForce:
+    """Constraints in force, and what one more would gain.
+
+    Attributes:
+      left: [H] True for hypotheses that may be picked.
+      log_partition: [K] log Z_C, nats.
+      num_demonstrations: D.
+    """
+
+    def __init__(self, inference: Inference) -> None:
+        self._inference = inference
+        self._is_picked = np.zeros(len(inference.struck_out), bool)
+        self._is_obeyed = np.ones(len(inference.demonstrations), bool)
+        self._counts = inference.counts
+        self.left = ~inference.struck_out
+        self.log_partition = inference.evidence.log_partition
+        self.num_demonstrations = len(inference.demonstrations)
+
+    def add(self, index: int, log_partition: np.ndarray) -> None:
+        """Put one more in force, given log Z_C [K] with it, nats."""
+        inference = self._inference
+        self.left[index], self._is_picked[index] = False, True
+        self.log_partition = log_partition
+        enters = inference.entered[:, index] & inference.is_counted[inference.task_of, index]
+        if (enters & self._is_obeyed).any():
+            self._is_obeyed &= ~enters
+            self._counts = self._counts_of_obeyed()
+
+    @property
+    def _log_share(self) -> np.ndarray:
+        """[K] log Z_C / Z_0, nats; 0 where no demonstration avoids C: there it may be infinite."""
+        share = self.log_partition - self._inference.evidence.log_partition
+        task_of = self._inference.task_of[self._is_obeyed]
+        return np.where(np.bincount(task_of, minlength=len(share)) > 0, share, 0.0)
+
+    def _counts_of_obeyed(self) -> likelihood.Counts:
+        """Return the demonstrations that avoid and enter one more, of those that avoid C."""
+        inference = self._inference
+        task_of, entered = inference.task_of[self._is_obeyed], inference.entered[self._is_obeyed]
+        entering = np.zeros(inference.is_counted.shape)
+        np.add.at(entering, task_of, entered)
+        num = np.bincount(task_of, minlength=len(entering))[:, None]
+        is_counted = inference.is_counted
+        return likelihood.Counts((num - entering) * is_counted, entering * is_counted)
+
+    def gains(self, log_ratio: np.ndarray, indices: np.ndarray | None = None) -> np.ndarray:
+        """Return log L(C + c) - log L(C) [M], nats; infinite where nobody can avoid c.
+
+        A demonstration that enters C already gains nothing. One that avoids it gains the more the
+        fewer trajectories avoid c as well, and falls to log eps where it enters c itself.
+
+        Args:
+          log_ratio: [K, M] log P(avoid c | avoid C), nats.
+          indices: [M] which hypotheses these are of; all of them if None.
+        """
+        tolerance = self._inference.tolerance
+        counts = self._counts_at(indices)
+        before = likelihood.avoiding_term(self._log_share, tolerance)[:, None]
+        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # elsewhere it may be infinite
+        after = likelihood.avoiding_term(self._log_share[:, None] + log_ratio, tolerance)
+        gain = counts.avoiding * (after - before)
+        if tolerance > 0.0:
+            gain = gain + counts.entering * (math.log(tolerance) - before)
+        return gain.sum(axis=0)
+
+    def _counts_at(self, indices: np.ndarray | None) -> likelihood.Counts:
+        if indices is None:
+            return self._counts
+        return likelihood.Counts(*(values[:, indices] for values in self._counts))
+
+    def gain_error(self, index: int, log_ratio: LogRatio) -> float:
+        """Return the standard error of the gain of one more, given its log ratios [K], nats."""
+        used = self._counts.avoiding[:, index] > 0  # elsewhere ratio and error may be infinite
+        num, log_share = self._counts.avoiding[used, index], self._log_share[used]
+        slope = likelihood.sensitivity(log_share + log_ratio.value[used], self._inference.tolerance)
+        return float(np.linalg.norm(num * slope * log_ratio.standard_error[used]))
+
+    def near_best(self, total_gain: np.ndarray) -> np.ndarray:
+        """Return the hypotheses [M] left that may be the best; none where none gains anything."""
+        gain = np.where(self.left & np.isfinite(total_gain), total_gain, -np.inf)
+        gain = gain / self.num_demonstrations
+        best = float(gain.max())
+        if best < 0.5 * TIED:
+            return np.zeros(0, int)
+        return np.flatnonzero(gain >= best - max(NEAR * best, 2.0 * TIED))
+
+    def log_bayes_factor(self, total_gain: np.ndarray) -> float:
+        """Return log P(demonstrations | one more, whichever) / P(demonstrations | C), nats."""
+        prior = np.where(np.r_[False, self._is_picked], 0.0, self._inference.prior)
+        if not prior[1:].any():
+            return -math.inf
+        gain = np.where(self.left & np.isfinite(total_gain), total_gain, -np.inf)
+        return posterior.log_bayes_factor(gain, prior)

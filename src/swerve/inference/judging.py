@@ -1,0 +1,167 @@
+"""Judging demonstrations: whether they fit the problem, of which tasks they are, what they enter.
+
+Shapes: D demonstrations, L states, n state dimensions, m action dimensions, H hypotheses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swerve.base.space import Actions, StateSpace, Task
+from swerve.constraints.base import violates
+from swerve.demonstrations.checks import (
+    START_TOLERANCE,
+    are_plausible,
+    check_finite,
+    check_horizon,
+    check_path,
+    check_start,
+    check_states,
+    check_transitions,
+    row_namer,
+)
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import MATCH_TOLERANCE, Evidence
+from swerve.hypotheses.base import HypothesisSet, unpack
+from swerve.problem.problem import ProblemRecord
+
+AT_ONCE = 64  # demonstrations judged together
+
+
+def judge(
+    demonstrations: Sequence[Demonstration], evidence: Evidence, hypotheses: HypothesisSet
+) -> tuple[np.ndarray, np.ndarray]:
+    """Check demonstrations; return their tasks in the evidence [D] and what they enter [D, H].
+
+    Args:
+      demonstrations: finished ones.
+      evidence: what they are held against.
+      hypotheses: what they may have entered: those of the problem, or what is left of them where
+        measurement noise is allowed for.
+
+    Raises:
+      ValueError: if one is none, does not fit the problem, or there is no evidence for its task.
+    """
+    for item in demonstrations:
+        if not isinstance(item, Demonstration):
+            raise ValueError(
+                f"expected a list of swerve.Demonstration, got a {type(item).__name__} in it: "
+                "make one with swerve.Demonstration(name, states, task)"
+            )
+    tasks = np.zeros(len(demonstrations), int)
+    entered = np.zeros((len(demonstrations), len(hypotheses)), bool)
+    for first in range(0, len(demonstrations), AT_ONCE):
+        block = demonstrations[first : first + AT_ONCE]
+        states = _checked_states(block, evidence.problem.space)
+        for item in block:
+            _check_fits(item, evidence)
+        tasks[first : first + AT_ONCE] = _matched(block, evidence)
+        entered[first : first + AT_ONCE] = _entered(block, states, evidence.problem, hypotheses)
+    return tasks, entered
+
+
+def _checked_states(demonstrations: Sequence[Demonstration], space: StateSpace) -> np.ndarray:
+    """Return the states of demonstrations [D, L, n] after checking them; they rest at their end.
+
+    All are looked at together; one by one only to say what is wrong with which.
+    """
+    for item in demonstrations:
+        check_path(item.states, item.times, space, item.name)
+    longest = max(len(item.states) for item in demonstrations)
+    states = np.stack([_rested(item.states, longest) for item in demonstrations])
+    starts = np.stack([item.task.start for item in demonstrations])
+    is_there = space.relative_distance(states[:, 0], starts) <= START_TOLERANCE
+    if not (is_there.all() and are_plausible(states, space)):
+        for item in demonstrations:
+            check_states(item.states, item.times, space, item.name)
+            check_start(item.states[0], item.task, space, item.name)
+    return states
+
+
+def _rested(states: np.ndarray, num: int) -> np.ndarray:
+    """Return states [L, n] and their last again and again, `num` in all."""
+    if len(states) == num:
+        return states
+    return states[np.minimum(np.arange(num), len(states) - 1)]
+
+
+def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:
+    """Check what one demonstration does against the problem."""
+    problem, states = evidence.problem, demonstration.states
+    if problem.transitions is not None:
+        actions = _actions(demonstration, problem, demonstration.actions is not None)
+        check_transitions(
+            states, actions and actions.values, problem.transitions, demonstration.name
+        )
+        num_moves = int((~problem.transitions.rests(states)).sum())
+        check_horizon(num_moves, problem.num_steps, demonstration.name)
+    _check_known(demonstration, problem)
+    _check_goal(demonstration, evidence)
+
+
+def _matched(demonstrations: Sequence[Demonstration], evidence: Evidence) -> np.ndarray:
+    """Return the tasks [D] of demonstrations in the evidence."""
+    starts = np.stack([item.task.start for item in demonstrations])
+    goals = np.stack([item.task.goal for item in demonstrations])
+    numbers, away = evidence.nearest(Task(starts, goals))
+    for k in np.flatnonzero(away > MATCH_TOLERANCE).tolist():
+        evidence.match(demonstrations[k].task, demonstrations[k].name)  # which says that it is none
+    return numbers
+
+
+def _entered(
+    demonstrations: Sequence[Demonstration],
+    states: np.ndarray,
+    problem: ProblemRecord,
+    hypotheses: HypothesisSet,
+) -> np.ndarray:
+    """Return what demonstrations enter [D, H], by their states [D, L, n]."""
+    actions = None
+    if hypotheses.about_actions:
+        values = np.full((*states[:, 1:, 0].shape, len(problem.action_names)), np.nan)
+        for row, item in zip(values, demonstrations, strict=True):
+            taken = _actions(item, problem, needed=True)
+            assert taken is not None
+            row[: len(taken.values)] = taken.values
+        actions = Actions(problem.action_names, values)
+    bits = hypotheses.violations(states, problem.space, problem.between_states, actions)
+    return unpack(bits, len(hypotheses))
+
+
+def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
+    """Refuse a demonstration that enters a known constraint: under the model it cannot happen."""
+    for constraint in problem.known:
+        actions = _actions(demonstration, problem, constraint.about_actions)
+        states, between = demonstration.states, problem.between_states
+        if violates(constraint, states, problem.space, between, actions):
+            raise ValueError(
+                f"{demonstration.name} enters the known constraint {constraint.name}, which the "
+                "problem says nobody can: correct the demonstration (units, frame) or `known`"
+            )
+
+
+def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool) -> Actions | None:
+    """Return the actions of a demonstration [L-1, m] where they are needed."""
+    if not needed:
+        return None
+    names, values = problem.action_names, demonstration.actions
+    if values is None or values.shape[1] != len(names):
+        raise ValueError(
+            f"{demonstration.name}: the problem has constraints on actions, so a demonstration "
+            f"needs its actions, columns {', '.join(names)}, got "
+            f"{'none' if values is None else f'{values.shape[1]} of them'}"
+        )
+    values = values[: len(demonstration.states) - 1]
+    check_finite(values, names, row_namer(demonstration.name, None))
+    return Actions(names, values)
+
+
+def _check_goal(demonstration: Demonstration, evidence: Evidence) -> None:
+    expected, got = evidence.tasks.goal.shape[1], len(demonstration.task.goal)
+    if got != expected:
+        names = ", ".join(evidence.problem.goal_names)
+        raise ValueError(
+            f"{demonstration.name}: expected a goal of {expected} numbers ({names}), got {got}"
+        )

@@ -1,0 +1,152 @@
+"""How likely demonstrations are under each hypothesis, against no constraint at all.
+
+A demonstration d of task k obeys the constraint, but ignores it with a probability eps:
+
+    L_d(c) = eps + (1 - eps) 1[d avoids c] Z_0 / Z_c(task_k),    log L(c) = sum_d log L_d(c).
+
+With eps = 0 (the paper) one that enters c rules it out. A task says nothing of a hypothesis that
+lies beside its start or its goal: no demonstration of it enters, whether it is a constraint or not.
+
+Shapes: K tasks, D demonstrations, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from swerve.base.arguments import number_or_nan
+
+if TYPE_CHECKING:
+    from swerve.base.space import Task
+    from swerve.hypotheses.base import HypothesisSet
+    from swerve.problem.problem import ProblemRecord
+
+THRESHOLD = 0.1  # nats a demonstration: the least gain for which greedy selection picks
+MAX_TOLERANCE = 0.5
+NUM_TOLERANCES = 61  # tried first, between the least and the largest, evenly in their logs
+LEAST_TOLERANCE = 1e-6
+SAME_TOLERANCE = 1e-3  # apart in their logs: refined so far
+
+
+class Counts(NamedTuple):
+    """How many demonstrations of each task speak for and against each hypothesis.
+
+    Attributes:
+      avoiding: [K, H].
+      entering: [K, H].
+    """
+
+    avoiding: np.ndarray
+    entering: np.ndarray
+
+
+def log_likelihood(log_ratio: np.ndarray, counts: Counts, tolerance: float) -> np.ndarray:
+    """Return log L [..., H], nats; -inf where ruled out.
+
+    Args:
+      log_ratio: [..., K, H] log Z_c / Z_0, nats; finite where `counts` are not zero.
+      counts: of the demonstrations.
+      tolerance: eps.
+    """
+    value = (counts.avoiding * avoiding_term(log_ratio, tolerance)).sum(axis=-2)
+    entering = counts.entering.sum(axis=0)
+    if tolerance == 0.0:
+        return np.where(entering > 0, -np.inf, value)
+    return value + entering * math.log(tolerance)
+
+
+def avoiding_term(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return log L_d of a demonstration that avoids c, nats, for every log Z_c / Z_0 [...]."""
+    if tolerance == 0.0:
+        return -log_ratio
+    return np.logaddexp(math.log(tolerance), math.log1p(-tolerance) - log_ratio)
+
+
+def sensitivity(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return by how much `avoiding_term` falls as log Z_c / Z_0 [...] rises, from 0 to 1."""
+    if tolerance == 0.0:
+        return np.ones_like(log_ratio)
+    return np.exp(math.log1p(-tolerance) - log_ratio - avoiding_term(log_ratio, tolerance))
+
+
+def checked_tolerance(tolerance: float) -> float:
+    """Return eps.
+
+    Raises:
+      ValueError: if it is not from 0 to MAX_TOLERANCE: demonstrations that ignore a constraint more
+        often than not tell nothing of it, and with eps = 1 nothing at all.
+    """
+    expected = (
+        f"the probability that a demonstration ignores the constraint, from 0 to {MAX_TOLERANCE}"
+    )
+    value = number_or_nan(tolerance)
+    if not 0.0 <= value <= MAX_TOLERANCE:
+        raise ValueError(f"tolerance: expected {expected}, got {tolerance!r}")
+    return value
+
+
+def is_counted(
+    problem: ProblemRecord, tasks: Task, clearance: float | None, judged: HypothesisSet
+) -> np.ndarray:
+    """Return [K, H] whether demonstrations of a task count for or against a hypothesis.
+
+    They do not within the clearance of the task's ends; nor, with a margin, where an end lies in
+    the hypothesis but not as deep: nominal trajectories enter there, and demonstrations that come
+    no deeper would seem to obey a miracle.
+
+    Args:
+      problem: with the hypotheses.
+      tasks: K of them; goals have ends where they are states.
+      clearance: the distance, in the units of the states that a hypothesis names, or None.
+      judged: the hypotheses less the margin; those of the problem where there is none.
+
+    Raises:
+      ValueError: if the distance is negative or no number, or a hypothesis has none.
+    """
+    space, hypotheses = problem.space, problem.hypotheses
+    counted = np.ones((len(tasks.start), len(hypotheses)), bool)
+    if clearance is None and judged is hypotheses:
+        return counted
+    ends = [np.asarray(tasks.start, float)]
+    if problem.goal_names == space.names:
+        ends.append(np.asarray(tasks.goal, float))
+    if clearance is not None:
+        if not 0.0 <= number_or_nan(clearance) < math.inf:
+            raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
+        for end in ends:
+            counted &= hypotheses.distance(end, space) > float(clearance)
+    if judged is not hypotheses:
+        for index in range(len(hypotheses)):
+            whole, eroded = hypotheses.constraint(index), judged.constraint(index)
+            for end in ends:
+                counted[:, index] &= ~(whole.contains(end, space) & ~eroded.contains(end, space))
+    return counted
+
+
+def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:
+    """Return the least eps with which a hypothesis is more probable than no constraint.
+
+    None where there is none up to MAX_TOLERANCE.
+
+    Args:
+      log_ratio: [K, H] nats, finite where `counts` are not zero.
+      counts: of the demonstrations.
+      log_prior: [H] log prior(c) / P(none), nats.
+    """
+
+    def is_enough(log_tolerance: float) -> bool:
+        value = log_likelihood(log_ratio, counts, math.exp(log_tolerance))
+        return bool((value + log_prior > 0.0).any())
+
+    tried = np.linspace(math.log(LEAST_TOLERANCE), math.log(MAX_TOLERANCE), NUM_TOLERANCES)
+    enough = next((k for k, value in enumerate(tried.tolist()) if is_enough(value)), None)
+    if enough is None:
+        return None
+    low, high = tried[max(enough - 1, 0)], tried[enough]
+    while high - low > SAME_TOLERANCE:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if is_enough(middle) else (middle, high)
+    return math.exp(high)

@@ -1,0 +1,239 @@
+"""The best pair of constraints, by looking at all of them.
+
+    log L(a, b) = sum_d log(eps + (1 - eps) 1[d avoids a, b] Z_0 / Z_ab(task of d)),
+    Z_ab / Z_0 = 1 - P(enter a) - P(enter b) + P(enter a and b) >= 1 - P(enter a) - P(enter b).
+
+Greedy selection need not find it: two constraints can explain together what neither explains much
+of alone. P(enter a and b) of all pairs is a matrix product a task; the inequality tells beforehand
+which pairs cannot be the best, and, as tasks are gone through one by one, which no longer can.
+
+Shapes: K tasks, D demonstrations, N trajectories, H hypotheses, R and C of them, rows and columns.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from swerve.base.arguments import instance
+from swerve.evidence import estimators
+from swerve.inference import likelihood
+from swerve.inference.conditional import coverage
+from swerve.inference.greedy import TIED, InForce, greedy
+from swerve.inference.ranking import Inference
+
+if TYPE_CHECKING:
+    from swerve.solvers.learn import ExactNominal
+
+BLOCK = 256  # rows and columns looked at at a time
+
+
+class Pair(NamedTuple):
+    """Two constraints in force together.
+
+    Attributes:
+      hypotheses: their indices, the lower one first.
+      log_likelihood: log-likelihood ratio of both against no constraint, nats; where next to no
+        sample avoids both, no more than the samples can tell.
+      standard_error: of that, nats; 0 where answers are exact.
+      log_partition: [K] log Z with both in force, nats.
+    """
+
+    hypotheses: tuple[int, int]
+    log_likelihood: float
+    standard_error: float
+    log_partition: np.ndarray
+
+
+def best_pair(inference: Inference, nominal: ExactNominal | None = None) -> Pair:
+    """Return the two hypotheses that together explain the demonstrations best.
+
+    With a tolerance the best of them alone may explain more than any two: compare with the largest
+    `inference.log_likelihood`.
+
+    All pairs are looked at, or ruled out by a bound. The work grows with the square of the number
+    of hypotheses that explain anything, and with an exact solver with how long it takes to answer
+    with one of them in force.
+
+    Args:
+      inference: from `infer`, whose tolerance, margin and clearance hold for the pair. Of sampled
+        evidence trajectories alone tell, not what `resolve` worked out.
+      nominal: where the evidence is exact, the nominal distribution that it came from.
+
+    Raises:
+      ValueError: if there is no demonstration, fewer than two hypotheses are left, no two of them
+        can be avoided together, or the evidence is exact and its nominal is not given.
+    """
+    instance(inference, Inference, "inference", "make one with swerve.infer")
+    coverage(inference, nominal)  # checks that both go together
+    left = np.flatnonzero(~inference.struck_out)
+    if len(left) < 2:
+        raise ValueError(
+            f"inference: expected two hypotheses that demonstrations leave, got {len(left)}"
+        )
+    ordered = left[np.argsort(-inference.log_likelihood[left], kind="stable")]
+    if nominal is not None:
+        return _exactly(inference, nominal, ordered)
+    picks = greedy(inference, threshold=0.0, most=2)
+    known = None
+    if len(picks) == 2:
+        first, second = sorted(pick.hypothesis for pick in picks)
+        known = _of_samples(inference, (first, second))
+    return _of_samples(inference, _search(_Samples(inference, ordered), known))
+
+
+def _of_samples(inference: Inference, pair: tuple[int, int]) -> Pair:
+    """Return a pair with what samples tell of it."""
+    evidence, indices = inference.evidence, np.array(pair)
+    found = []
+    for k, log_weight in enumerate(evidence.log_weight):
+        counted = indices[inference.is_counted[k, indices]]
+        bits = evidence.samples.violations[k][:, counted >> 3] >> (counted & 7) & 1
+        entered = bits.any(axis=1).astype(np.uint8)[:, None]
+        estimate = estimators.avoid_probability(log_weight, entered, 1)
+        resolution = 1.0 / estimators.effective_sample_size(log_weight)
+        found.append([x[0] for x in estimators.log_ratio(estimate, resolution)])
+    log_share, error = np.array(found).T
+    enters = inference.entered[:, indices] & inference.is_counted[inference.task_of][:, indices]
+    avoids = ~enters.any(axis=1)
+    num = np.bincount(inference.task_of[avoids], minlength=evidence.num_tasks)
+    value = num @ likelihood.avoiding_term(log_share, inference.tolerance)
+    if inference.tolerance > 0.0:
+        value += np.count_nonzero(~avoids) * math.log(inference.tolerance)
+    slope = likelihood.sensitivity(log_share, inference.tolerance)
+    spread = float(np.linalg.norm(num * slope * error))
+    return Pair(pair, float(value), spread, evidence.log_partition + log_share)
+
+
+def _exactly(inference: Inference, nominal: ExactNominal, ordered: np.ndarray) -> Pair:
+    """Return the best pair by solving anew with each hypothesis in force."""
+    best: Pair | None = None
+    for place, index in enumerate(ordered[:-1].tolist()):
+        evidence, others = inference.evidence, ordered[place + 1 :]
+        in_force, covered = InForce(inference), coverage(inference, nominal)
+        alone = np.where(inference.is_counted[:, index], evidence.log_ratio[:, index], 0.0)
+        in_force.add(index, evidence.log_partition + alone)
+        covered.add(index)
+        value = inference.log_likelihood[index] + in_force.gains(covered.log_ratio)[others]
+        value = np.where(np.isfinite(value), value, -np.inf)
+        least = -math.inf if best is None else best.log_likelihood
+        if not value.max() > least + TIED * max(1.0, abs(value.max())):
+            continue
+        other = int(others[np.flatnonzero(value >= value.max() - TIED * abs(value.max()))[0]])
+        ratio = np.where(inference.is_counted[:, other], covered.log_ratio[:, other], 0.0)
+        pair = (min(index, other), max(index, other))
+        best = Pair(pair, float(value.max()), 0.0, in_force.log_partition + ratio)
+    if best is None:
+        raise ValueError(
+            "inference: there is no pair of hypotheses that a trajectory of every task can avoid"
+        )
+    return best
+
+
+class _Samples:
+    """What pairs of some hypotheses explain by samples, task by task.
+
+    Args:
+      inference: of sampled evidence.
+      ordered: [M] the hypotheses; rows and columns below are places among these.
+    """
+
+    def __init__(self, inference: Inference, ordered: np.ndarray) -> None:
+        evidence = inference.evidence
+        self.tasks = np.flatnonzero(inference.task_counts).tolist()
+        self.ordered = ordered
+        self._tolerance, self._task_counts = inference.tolerance, inference.task_counts
+        self._is_counted = inference.is_counted[:, ordered]
+        violation = evidence.violation_probability[:, ordered]
+        self._entered = np.where(self._is_counted, violation, 0.0)
+        self._bits = evidence.samples.violations
+        self._weight = [estimators.normalise(row) for row in evidence.log_weight]
+        self._least = [1.0 / estimators.effective_sample_size(row) for row in evidence.log_weight]
+        enters = inference.entered[:, ordered] & self._is_counted[inference.task_of]
+        self._avoids = [~enters[inference.task_of == k] for k in range(evidence.num_tasks)]
+
+    def most(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return what each row [R] explains at most with any of the columns, nats.
+
+        The demonstrations that avoid both are no more than those that avoid the one.
+        """
+        bound = np.zeros(len(rows))
+        for k in self.tasks:
+            share = 1.0 - self._entered[k, rows] - self._entered[k, columns].max()
+            bound += self._value(k, share, np.count_nonzero(self._avoids[k][:, rows], axis=0))
+        return bound
+
+    def bound(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return what pairs [R, C] explain at most of a task, nats."""
+        entered = self._entered[k]
+        share = 1.0 - entered[rows, None] - entered[columns]
+        return self._value(k, share, self._num_avoiding(k, rows, columns))
+
+    def value(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return what pairs [R, C] explain of a task, nats."""
+        entered, weight = self._entered[k], self._weight[k][:, None]
+        both = (self._unpacked(k, rows) * weight).T @ self._unpacked(k, columns)
+        share = 1.0 - entered[rows, None] - entered[columns] + both
+        return self._value(k, share, self._num_avoiding(k, rows, columns))
+
+    def _unpacked(self, k: int, places: np.ndarray) -> np.ndarray:
+        """Return [N, R] 1 where a trajectory enters a hypothesis that counts for the task."""
+        places = np.where(self._is_counted[k, places], places, -1)
+        indices = self.ordered[places]
+        bits = self._bits[k][:, indices >> 3] >> (indices & 7).astype(np.uint8) & 1
+        return np.where(places >= 0, bits, 0).astype(np.float64)
+
+    def _num_avoiding(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        avoids = self._avoids[k].astype(np.float64)
+        return avoids[:, rows].T @ avoids[:, columns]
+
+    def _value(self, k: int, share: np.ndarray, num_avoiding: np.ndarray) -> np.ndarray:
+        log_share = np.log(np.maximum(share, self._least[k]))
+        value = num_avoiding * likelihood.avoiding_term(log_share, self._tolerance)
+        if self._tolerance > 0.0:
+            value += (self._task_counts[k] - num_avoiding) * math.log(self._tolerance)
+        return value
+
+
+def _search(samples: _Samples, known: Pair | None) -> tuple[int, int]:
+    """Return the best pair, or the one that is known already if none is better."""
+    best = -math.inf if known is None else known.log_likelihood
+    pair = None if known is None else known.hypotheses
+    places = np.arange(len(samples.ordered))
+    for first in range(0, len(places), BLOCK):
+        for second in range(first, len(places), BLOCK):
+            rows, columns = places[first : first + BLOCK], places[second : second + BLOCK]
+            least = best + TIED * max(1.0, abs(best)) if pair else -math.inf
+            rows = rows[samples.most(rows, columns) > least]
+            if not len(rows):
+                continue
+            columns = columns[samples.most(columns, rows) > least]
+            rows, columns, value = _values(samples, rows, columns, least)
+            if value.size and value.max() > least:
+                row, column = np.unravel_index(int(value.argmax()), value.shape)
+                indices = samples.ordered[[rows[row], columns[column]]]
+                best, pair = float(value.max()), (int(indices.min()), int(indices.max()))
+    assert pair is not None
+    return pair
+
+
+def _values(
+    samples: _Samples, rows: np.ndarray, columns: np.ndarray, least: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rows and columns of which a pair explains more than `least`, and values [R, C].
+
+    Bounds become values as one task after another is gone through, and what falls below is left
+    out; -inf where the column does not come after the row.
+    """
+    value = np.where(rows[:, None] < columns, 0.0, -np.inf)
+    for k in samples.tasks:
+        value = value + samples.bound(k, rows, columns)
+    for k in samples.tasks:
+        some, others = (value > least).any(axis=1), (value > least).any(axis=0)
+        rows, columns, value = rows[some], columns[others], value[np.ix_(some, others)]
+        if not value.size:
+            break
+        value = value + samples.value(k, rows, columns) - samples.bound(k, rows, columns)
+    return rows, columns, value

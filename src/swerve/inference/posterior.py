@@ -1,0 +1,229 @@
+"""The posterior over what a demonstrator obeys: no constraint, or one of the hypotheses.
+
+    P(c | demonstrations) ~ prior(c) L(c),    L(none) = 1,
+
+with likelihood ratios L against no constraint. P(none) is 1/2 before any demonstration unless a
+prior says otherwise: were all alike, none could never win, since whatever is left has L(c) >= 1.
+
+Shapes: H hypotheses; probabilities [..., H + 1] begin with that of no constraint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from swerve.base.arguments import number_or_nan
+from swerve.inference import likelihood
+
+if TYPE_CHECKING:
+    from swerve.inference.ranking import Inference
+
+NONE = 0.5  # P(no constraint) unless a prior is given
+ROUNDING = 1e-6  # by which a prior may miss 1
+
+Prior = float | Sequence[float] | np.ndarray | None
+
+
+class Posterior(NamedTuple):
+    """How probable each answer is, with what sampling leaves open of that.
+
+    Attributes:
+      none: probability that there is no constraint.
+      none_error: its standard error.
+      hypotheses: [H] probability of each.
+      error: [H] their standard errors.
+    """
+
+    none: float
+    none_error: float
+    hypotheses: np.ndarray
+    error: np.ndarray
+
+
+class CredibleSet(NamedTuple):
+    """The fewest answers that together have a probability.
+
+    Attributes:
+      has_none: whether no constraint is among them.
+      hypotheses: those that are, most probable first.
+      probability: what they have together.
+    """
+
+    has_none: bool
+    hypotheses: np.ndarray
+    probability: float
+
+
+def checked_prior(prior: Prior, num_hypotheses: int) -> np.ndarray:
+    """Return the prior [H + 1], that of no constraint first.
+
+    Args:
+      prior: [H + 1] probabilities, no constraint first; or P(none) alone, the rest shared alike by
+        the hypotheses; 1/2 if None.
+      num_hypotheses: H.
+
+    Raises:
+      ValueError: if a probability is negative or not finite, they do not sum to 1, there are not
+        H + 1 of them, or P(none) alone is not between 0 and 1.
+    """
+    if prior is None:
+        prior = NONE
+    given = np.asarray(prior)
+    if given.dtype.kind not in "iuf":
+        raise ValueError(
+            f"prior: expected P(no constraint), or {num_hypotheses + 1} probabilities, that of no "
+            f"constraint first, got {prior!r}"
+        )
+    given = given.astype(float)
+    if given.ndim == 0:
+        if not 0.0 <= given <= 1.0:
+            raise ValueError(f"prior: expected P(no constraint) from 0 to 1, got {prior}")
+        share = (1.0 - given) / num_hypotheses
+        return np.concatenate([[given], np.full(num_hypotheses, share)])
+    if given.shape != (num_hypotheses + 1,):
+        raise ValueError(
+            f"prior: expected {num_hypotheses + 1} probabilities, that of no constraint first and "
+            f"then one for each hypothesis, got shape {given.shape}"
+        )
+    if not (np.isfinite(given).all() and (given >= 0.0).all()):
+        worst = int(np.flatnonzero(~(np.isfinite(given) & (given >= 0.0)))[0])
+        raise ValueError(f"prior: expected probabilities >= 0, got {given[worst]} at {worst}")
+    if abs(given.sum() - 1.0) > ROUNDING:
+        raise ValueError(
+            f"prior: expected probabilities that sum to 1, got a sum of {given.sum():.6g}: divide "
+            "them by it"
+        )
+    return given / given.sum()
+
+
+def posterior(log_likelihood: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Return the probabilities [..., H + 1] of no constraint and of each hypothesis.
+
+    Args:
+      log_likelihood: [..., H] log-likelihood ratios against no constraint, nats; -inf where ruled
+        out.
+      prior: [H + 1] as `checked_prior` returns it.
+
+    Raises:
+      ValueError: if nothing that the prior allows is left.
+    """
+    with np.errstate(divide="ignore"):
+        log_prior = np.log(prior)
+    none = np.zeros((*log_likelihood.shape[:-1], 1))
+    log_joint = np.concatenate([none, log_likelihood], axis=-1) + log_prior
+    largest = log_joint.max(axis=-1, keepdims=True)
+    if np.isneginf(largest).any():
+        raise ValueError(
+            "prior: the demonstrations rule out every hypothesis, and P(no constraint) is 0: give "
+            "it some probability, or the demonstrations a tolerance"
+        )
+    joint = np.exp(log_joint - largest)
+    return joint / joint.sum(axis=-1, keepdims=True)
+
+
+def log_bayes_factor(log_likelihood: np.ndarray, prior: np.ndarray) -> float:
+    """Return log P(demonstrations | some constraint) / P(demonstrations | none), nats.
+
+    -inf where every hypothesis is ruled out, or the prior allows none.
+
+    Args:
+      log_likelihood: [H] nats.
+      prior: [H + 1]; those of the hypotheses weigh them.
+    """
+    if not prior[1:].any():
+        return -np.inf
+    with np.errstate(divide="ignore"):
+        log_share = np.log(prior[1:]) - np.log(prior[1:].sum())
+    log_joint = np.where(prior[1:] > 0.0, log_likelihood + log_share, -np.inf)
+    return float(np.logaddexp.reduce(log_joint))
+
+
+def jackknife_error(replicates: np.ndarray) -> np.ndarray:
+    """Return the standard error [...] of an estimate from its values [I, ...] without one part.
+
+    se^2 = (I - 1) / I sum_i (p_i - mean p)^2
+    """
+    num = len(replicates)
+    return np.sqrt((num - 1) * replicates.var(axis=0))
+
+
+def credible_set(found: Posterior, least: float) -> CredibleSet:
+    """Return the fewest answers that together have at least a probability.
+
+    Args:
+      found: how probable they are.
+      least: more than 0 and less than 1.
+
+    Raises:
+      ValueError: if `least` is not between 0 and 1.
+    """
+    if not 0.0 < number_or_nan(least) < 1.0:
+        raise ValueError(f"credible_set: expected a probability between 0 and 1, got {least!r}")
+    probabilities = np.concatenate([[found.none], found.hypotheses])
+    order = np.argsort(-probabilities, kind="stable")
+    together = np.cumsum(probabilities[order])
+    num = min(int(np.searchsorted(together, least - ROUNDING)), len(order) - 1) + 1
+    chosen = order[:num]
+    has_none = bool((chosen == 0).any())
+    return CredibleSet(has_none, chosen[chosen > 0] - 1, min(float(together[num - 1]), 1.0))
+
+
+def of_inference(inference: Inference) -> Posterior:
+    """Return the posterior of an inference.
+
+    Without demonstrations it is the prior. Its errors come from leaving out one island of the
+    samples after another, of all tasks at once; ratios worked out with the constraint in force, and
+    bounds, have errors of their own.
+    """
+    evidence = inference.evidence
+    if not inference.demonstrations:
+        prior = inference.prior
+        return Posterior(float(prior[0]), 0.0, prior[1:].copy(), np.zeros(len(prior) - 1))
+    tasks = np.flatnonzero(inference.task_counts)
+    value = posterior(inference.log_likelihood, inference.prior)
+    if evidence.is_exact:
+        return Posterior(float(value[0]), 0.0, value[1:], np.zeros(len(value) - 1))
+    used = inference.is_used[tasks]
+    has_own_error = (evidence.is_resolved | evidence.is_floored)[tasks] & used
+    # what is left without the island that holds all who avoid is no less than one's share
+    without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
+    without = np.maximum(without, evidence.resolution[tasks][:, None])
+    from_islands = np.log(np.where(used & ~has_own_error, without, 1.0))
+    log_ratio = np.where(has_own_error, inference.finite_log_ratio[tasks], from_islands)
+    counts = likelihood.Counts(*(part[tasks] for part in inference.counts))
+    log_likelihood = likelihood.log_likelihood(log_ratio, counts, inference.tolerance)
+    log_likelihood = np.where(inference.struck_out, -np.inf, log_likelihood)
+    island_error = jackknife_error(posterior(log_likelihood, inference.prior))
+    own = inference.sensitivity[tasks] * evidence.standard_error[tasks] * has_own_error
+    error = np.hypot(island_error, _propagated(value, (own**2).sum(axis=0)))
+    return Posterior(float(value[0]), float(error[0]), value[1:], error[1:])
+
+
+def _propagated(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the standard errors [H + 1] of a posterior by those of log-likelihoods, delta method.
+
+        d p_j / d log L_h = p_j (1[j = h] - p_h)
+
+    Args:
+      value: [H + 1] the posterior.
+      variance: [H] of the log-likelihoods, independent of one another.
+    """
+    own = np.concatenate([[0.0], variance])
+    return value * np.sqrt(np.sum(value**2 * own) + own * (1.0 - 2.0 * value))
+
+
+def least_tolerance(inference: Inference) -> float | None:
+    """Return the least tolerance with which a hypothesis is more probable than no constraint.
+
+    None where one is already, or none would be up to the largest tolerance.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_odds = np.log(inference.prior[1:]) - np.log(inference.prior[0])
+    log_odds = np.where(inference.impossible | (inference.prior[1:] == 0.0), -np.inf, log_odds)
+    left = ~inference.struck_out
+    if (inference.log_likelihood[left] + log_odds[left] > 0.0).any():
+        return None
+    return likelihood.least_tolerance(inference.finite_log_ratio, inference.counts, log_odds)

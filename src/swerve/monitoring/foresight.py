@@ -1,0 +1,318 @@
+"""How likely each hypothesis is avoided from here on: a small network, evaluated in NumPy.
+
+    log P_0(avoid c after t | s_t = s, t, goal) = -log(1 + exp(-z_c(s, t, goal)))
+
+for all hypotheses c at once. What the network sees are sines of the state and its difference to
+the goal at several frequencies, both in units of the bounds, by how much the state would have to
+change for the rest of the time, and the time to go; its layers are
+
+    y = W_L tanh(... tanh(W_1 x + b_1) ...) + b_L,    z = y.
+
+A state that lies in a hypothesis has entered it already: what is learned is of avoiding it after
+now, now included.
+
+Shapes: K tasks, H hypotheses, T steps, n state dimensions, g goal dimensions, F inputs, ... any
+batch dimensions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from swerve.base import store
+from swerve.base.space import TWO_PI, StateSpace
+from swerve.problem.problem import Problem, ProblemRecord
+
+KIND = "swerve-foresight"
+VERSION = 2
+HARMONICS = 4  # of each state, at which the inputs wave
+SOON = 0.03  # of the horizon: time to go is told apart down to about this
+RUSH = (0.3, 2.0)  # extents a horizon: rates of change beside which others are slow or fast
+NUM_TIMES = 4  # inputs that tell the time alone
+SAME_GOAL = 1e-3  # of a goal's scale
+WIDTH = 128
+MANY = 1000  # hypotheses: with more of them the last layer is narrow, to be quick
+RANK = 32
+
+
+class Ahead(Protocol):
+    """What tells how likely each hypothesis is avoided from a state and a step on."""
+
+    def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
+        """Return log P_0(avoid c from here on) [H], nats, for a state [n] at a step."""
+        ...
+
+
+class Foreseer(Protocol):
+    """What tells that for a goal: a `Foresight`, or `Rollouts` of the nominal distribution."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the problem that it is of."""
+        ...
+
+    def towards(self, goal: np.ndarray) -> Ahead:
+        """Return what tells it for a goal [g]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What the network sees: a function of state, time and goal that is plain data.
+
+    Attributes:
+      space: of the states.
+      goal_is_state: whether goals are states, so that there is a way to go.
+      goal_centre: [g] goals are taken relative to this,
+      goal_scale: [g] in these units.
+      num_steps: T.
+    """
+
+    space: StateSpace
+    goal_is_state: bool
+    goal_centre: np.ndarray
+    goal_scale: np.ndarray
+    num_steps: int
+
+    def waves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (S, G, p): the inputs sin(S s + G goal + p).
+
+        For each state, its harmonics and, where goals are states, those of what is left to go;
+        cosines are sines a quarter turn on. The first n are the first harmonics of what is left.
+        """
+        n, g = len(self.space.names), len(self.goal_centre)
+        # a straight state waves slowly enough to tell its two bounds apart
+        pace = np.where(self.space.is_angle, 1.0, 0.5 * TWO_PI / (2.0 * self.space.extent))
+        rows = []
+        if self.goal_is_state:
+            away = np.diag(pace)
+            for harmonic in (1.0, 2.0):
+                for phase in (0.0, 0.25 * TWO_PI):
+                    rows += [(harmonic * away[k], -harmonic * away[k], phase) for k in range(n)]
+        centre = np.where(self.space.is_angle, 0.0, self.space.bounds.mean(axis=1))
+        for harmonic in range(1, HARMONICS + 1):
+            for k in range(n):
+                row = harmonic * np.diag(pace)[k]
+                turn = -float(row @ centre)
+                rows += [(row, np.zeros(g), turn), (row, np.zeros(g), turn + 0.25 * TWO_PI)]
+        of_state, of_goal, phase = zip(*rows, strict=True)
+        return np.array(of_state), np.array(of_goal).reshape(len(rows), g), np.array(phase)
+
+    def times(self, step: Any) -> Any:
+        """Return what tells the time [..., NUM_TIMES] at steps [...], NumPy or JAX."""
+        xp = step.__array_namespace__()
+        to_go = 1.0 - step / self.num_steps
+        return xp.stack(
+            [
+                2.0 * to_go - 1.0,
+                xp.sqrt(xp.abs(to_go)),
+                xp.exp(-to_go / SOON),
+                xp.exp(-to_go / (5.0 * SOON)),
+            ],
+            axis=-1,
+        )
+
+    def scaled_goal(self, goal: Any) -> Any:
+        """Return goals [..., g] about unit scale."""
+        return (goal - self.goal_centre) / self.goal_scale
+
+    def haste(self, step: Any) -> Any:
+        """Return what turns the way to go into rates of change [..., len(RUSH)]."""
+        xp = step.__array_namespace__()
+        soon = 1.0 - step / self.num_steps + SOON
+        return xp.stack([1.0 / (soon * rush) for rush in RUSH], axis=-1)
+
+    def __call__(self, state: Any, step: Any, goal: Any) -> Any:
+        """Return inputs [..., F] of states [..., n] at steps [...] with goals [..., g]."""
+        xp, n = state.__array_namespace__(), len(self.space.names)
+        of_state, of_goal, phase = self.waves()
+        waves = xp.sin(state @ of_state.T + goal @ of_goal.T + phase)
+        parts = [waves, self.times(step), self.scaled_goal(goal)]
+        if self.goal_is_state:
+            haste = self.haste(step)
+            parts += [xp.tanh(waves[..., :n] * haste[..., k, None]) for k in range(len(RUSH))]
+        return xp.concatenate(parts, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Foresight:
+    """The probability of avoiding each hypothesis from any state and time on; see `foresee`.
+
+    Attributes:
+      fingerprint: of the problem that it was learned for.
+      learned_from: the digest of the evidence that it agrees with at starts.
+      inputs: what the network sees.
+      goals: [G, g] those that it was learned for.
+      weights: of each layer [out, in].
+      biases: of each layer [out].
+    """
+
+    fingerprint: str
+    learned_from: str
+    inputs: Inputs
+    goals: np.ndarray
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+
+    def __repr__(self) -> str:
+        """Return how large it is, in one line."""
+        sizes = ", ".join(str(len(bias)) for bias in self.biases)
+        return f"<Foresight of {len(self.goals)} goals, layers of {sizes}>"
+
+    def knows(self, goal: np.ndarray) -> bool:
+        """Return whether it was learned for a goal [g]."""
+        if not len(goal):
+            return True
+        away = np.abs(self.inputs.scaled_goal(self.goals) - self.inputs.scaled_goal(goal))
+        return bool((away.max(axis=1) <= SAME_GOAL).any())
+
+    def log_avoid(self, state: np.ndarray, step: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Return log P_0(avoid c from here on) [..., H], nats.
+
+        Args:
+          state: [..., n].
+          step: [...] from 0 to T, or one for all.
+          goal: [..., g], or one for all.
+        """
+        state, goal = np.asarray(state, float), np.asarray(goal, float)
+        step = np.broadcast_to(np.asarray(step, float), state.shape[:-1])
+        x = self.inputs(state, step, np.broadcast_to(goal, (*step.shape, goal.shape[-1])))
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = np.tanh(x @ weight.T + bias)
+        output = x @ self.weights[-1].T + self.biases[-1]
+        return np.minimum(output, 0.0) - np.log1p(np.exp(-np.abs(output)))
+
+    def towards(self, goal: np.ndarray) -> Ahead:
+        """Return what tells it for one goal [g], state by state, in microseconds.
+
+        Raises:
+          ValueError: if it was not learned for this goal.
+        """
+        goal = np.asarray(goal, float)
+        if not self.knows(goal):
+            raise ValueError(
+                f"foresight: learned for {len(self.goals)} goals, and {goal.tolist()} is none of "
+                "them: sample this task too, and learn again with swerve.foresee"
+            )
+        return _Towards(self, goal)
+
+    def save(self, path: str | Path) -> None:
+        """Write it to one file, atomically."""
+        inputs = self.inputs
+        header = {
+            "problem": self.fingerprint,
+            "evidence": self.learned_from,
+            "space": inputs.space.to_json(),
+            "goal_is_state": inputs.goal_is_state,
+            "num_steps": inputs.num_steps,
+            "num_layers": len(self.weights),
+        }
+        arrays = {
+            "goals": self.goals,
+            "goal_centre": inputs.goal_centre,
+            "goal_scale": inputs.goal_scale,
+        }
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weight/{k}": weight, f"bias/{k}": bias}
+        store.write(path, KIND, VERSION, header, arrays)
+
+    @classmethod
+    def load(cls, path: str | Path, problem: Problem | ProblemRecord) -> Foresight:
+        """Read what `save` wrote for this problem, or for that of an evidence.
+
+        Raises:
+          store.StoreError: if the file is cut short, altered, or of another kind, version or
+            problem.
+        """
+        record = problem if isinstance(problem, ProblemRecord) else problem.record
+        with store.open_file(path, KIND, VERSION) as stored:
+            header, layers = stored.header, range(stored.header["num_layers"])
+            if header["problem"] != record.fingerprint:
+                raise store.StoreError(
+                    path,
+                    f"holds the foresight of another problem, not of {record.summary}",
+                    "learn it again for this problem, into another file",
+                )
+            inputs = Inputs(
+                StateSpace.from_json(header["space"]),
+                header["goal_is_state"],
+                stored.array("goal_centre"),
+                stored.array("goal_scale"),
+                header["num_steps"],
+            )
+            return cls(
+                header["problem"],
+                header["evidence"],
+                inputs,
+                stored.array("goals"),
+                tuple(stored.array(f"weight/{k}") for k in layers),
+                tuple(stored.array(f"bias/{k}") for k in layers),
+            )
+
+
+def hidden_sizes(num_hypotheses: int) -> tuple[int, ...]:
+    """Return the widths of the layers before the last."""
+    return (WIDTH, WIDTH) if num_hypotheses <= MANY else (WIDTH, WIDTH, RANK)
+
+
+class _Towards:
+    """The network for one goal and one state at a time, in buffers made once.
+
+    Whatever depends on time and goal alone is worked out for every step beforehand.
+    """
+
+    def __init__(self, foresight: Foresight, goal: np.ndarray) -> None:
+        inputs, n = foresight.inputs, len(foresight.inputs.space.names)
+        of_state, of_goal, phase = inputs.waves()
+        self._of_state, self._phase = of_state, of_goal @ goal + phase
+        steps = np.arange(inputs.num_steps + 1.0)
+        first, *others = foresight.weights
+        num_waves, num_still = len(phase), NUM_TIMES + len(goal)
+        still = np.concatenate(
+            [inputs.times(steps), np.tile(inputs.scaled_goal(goal), (len(steps), 1))], axis=1
+        )
+        of_waves, of_still, of_rates = np.split(first, [num_waves, num_waves + num_still], axis=1)
+        self._first = np.ascontiguousarray(np.hstack([of_waves, of_rates]), np.float32)
+        self._table = (still @ of_still.T + foresight.biases[0]).astype(np.float32)
+        self._haste = np.repeat(inputs.haste(steps), n, axis=1).astype(np.float32)
+        self._others = [np.ascontiguousarray(weight, np.float32) for weight in others]
+        self._biases = [bias.astype(np.float32) for bias in foresight.biases[1:]]
+        self._angles = np.empty(num_waves)
+        self._x = np.empty(self._first.shape[1], np.float32)
+        self._waves, self._rates = self._x[:num_waves], self._x[num_waves:]
+        self._away = None
+        if inputs.goal_is_state:
+            self._away = np.tile(np.arange(n), len(RUSH))
+        self._layers = [np.empty(len(weight), np.float32) for weight in foresight.weights]
+
+    def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
+        """Return log P_0(avoid c from here on) [H], nats; the next call overwrites it."""
+        np.dot(self._of_state, state, out=self._angles)
+        np.add(self._angles, self._phase, out=self._angles)
+        np.sin(self._angles, out=self._waves, casting="same_kind")
+        if self._away is not None:
+            np.take(self._waves, self._away, out=self._rates, mode="clip")
+            np.multiply(self._rates, self._haste[step], out=self._rates)
+            np.tanh(self._rates, out=self._rates)
+        value = np.dot(self._first, self._x, out=self._layers[0])
+        np.add(value, self._table[step], out=value)
+        for weight, bias, out in zip(self._others, self._biases, self._layers[1:], strict=True):
+            np.tanh(value, out=value)
+            value = np.dot(weight, value, out=out)
+            np.add(value, bias, out=value)
+        return _log_sigmoid(value)
+
+
+def _log_sigmoid(value: np.ndarray) -> np.ndarray:
+    """Return -log(1 + exp(-z)) of values z, in its memory."""
+    smallest = np.abs(value)
+    np.negative(smallest, out=smallest)
+    np.exp(smallest, out=smallest)
+    np.add(smallest, 1.0, out=smallest)
+    np.log(smallest, out=smallest)
+    np.minimum(value, 0.0, out=value)
+    return np.subtract(value, smallest, out=value)

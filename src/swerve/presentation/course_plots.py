@@ -1,0 +1,160 @@
+"""Pictures of how belief moved while a demonstration went on.
+
+    P_t(c) against t, as lines; P_t over the state space, as an animation
+
+Shapes: L states, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+from PIL import Image
+
+from swerve.base.figure_style import FAINT, INK, WIDTH, headed, open_sides, written
+from swerve.base.space import Task
+from swerve.inference.ranking import Inference, infer
+from swerve.monitoring.course import Course
+from swerve.presentation import plane as planes
+from swerve.presentation import sentences as wording
+from swerve.presentation.plane_picture import picture
+from swerve.presentation.shading import Shading, of_probability
+
+NUM_LINES = 5  # hypotheses drawn: those that were most probable at some time
+LEAST_SUM = 0.01  # probability of all the others at some time, below which it is not drawn
+STYLES = ("-", "--", "-.", ":", (0, (1, 1)))
+COLOURS = ("#5b1a78", "#d55e00", "#0072b2", "#009e73", "#999999")
+NUM_FRAMES, FRAME, LAST = 60, 100, 2_000  # frames, and how long each and the last are shown [ms]
+DPI = 80
+
+
+def plot_course(course: Course, path: str | Path | None = None, *, width: float = WIDTH) -> Figure:
+    """Draw how probable no constraint and the likeliest hypotheses were, against time.
+
+    At a cross a hypothesis is entered. The dots at the right are what is believed when the
+    demonstration has ended. Where the hypotheses without a line matter, one line is their sum.
+
+    Args:
+      course: from `swerve.follow`.
+      path: a file to write, whose suffix tells the format, or None.
+      width: of the picture [in].
+
+    Raises:
+      ValueError: if matplotlib knows no such format, or it is too narrow for its text.
+    """
+    shown = np.argsort(-course.hypotheses.max(axis=0), kind="stable")[:NUM_LINES].tolist()
+    header = [
+        (f"Belief while {course.demonstration.name} went on", 11.5, INK),
+        ("Dots: when it had ended. Crosses: a hypothesis is entered.", 8.0, FAINT),
+    ]
+    figure = headed(header, width, 0.45 * width, width)
+    axes = figure.add_subplot()
+    _draw_line(axes, course, course.none, "no constraint", color=INK, lw=2.0)
+    for index, style, colour in zip(shown, STYLES, COLOURS, strict=False):
+        name = wording.cut(course.evidence.problem.hypotheses.name(index), 40)
+        label = f"{index}: {name}"
+        _draw_line(axes, course, course.hypotheses[:, index], label, color=colour, ls=style, lw=1.5)
+        if course.entered[-1, index]:
+            k = int(course.entered[:, index].argmax())
+            axes.plot(
+                course.times[k], course.hypotheses[k, index], "x", color=colour, clip_on=False
+            )
+    others = course.hypotheses.sum(axis=1) - course.hypotheses[:, shown].sum(axis=1)
+    if others.max() > LEAST_SUM:
+        label = f"all other hypotheses ({course.hypotheses.shape[1] - len(shown)})"
+        _draw_line(axes, course, others, label, color=FAINT, ls=(0, (6, 2)), lw=2.0)
+    axes.set(ylim=(-0.02, 1.02))
+    axes.set_xlabel("time [s]", fontsize=9)
+    axes.set_ylabel("posterior probability", fontsize=9)
+    open_sides(axes)
+    figure.legend(loc="outside lower left", fontsize=8, frameon=False, ncols=2 if width > 6 else 1)
+    return written(figure, path)
+
+
+def _draw_line(axes: Axes, course: Course, values: np.ndarray, label: str, **style: object) -> None:
+    [line] = axes.plot(course.times[:-1], values[:-1], label=label, **style)  # pyright: ignore
+    axes.plot(course.times[-1], values[-1], "o", color=line.get_color(), ms=5, clip_on=False)
+
+
+def animate_course(course: Course, path: str | Path, *, width: float = WIDTH) -> None:
+    """Write an animation of the posterior over the state space as a demonstration went on.
+
+    Args:
+      course: from `swerve.follow`.
+      path: a .gif file.
+      width: of the picture [in].
+
+    Raises:
+      ValueError: if the file is no .gif, or the picture is too narrow for its text.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".gif":
+        raise ValueError(f"{path}: expected a file that ends in .gif")
+    num = len(course.demonstration.states)
+    rows = np.unique(np.linspace(0, num, min(NUM_FRAMES, num + 1)).astype(int))
+    blank = infer(course.evidence)
+    end = _figure(course, blank, num, width)
+    end.draw_without_rendering()  # laid out once, for all: nothing moves but what is shown
+    places = [axes.get_position(original=True) for axes in end.axes]
+    frames = [_frame(_figure(course, blank, k, width), places) for k in rows.tolist()]
+    height = max(frame.height for frame in frames)
+    padded = [Image.new("RGB", (frame.width, height), "white") for frame in frames]
+    for canvas, frame in zip(padded, frames, strict=True):
+        canvas.paste(frame, (0, 0))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    durations = [FRAME] * (len(frames) - 1) + [LAST]
+    padded[0].save(path, save_all=True, append_images=padded[1:], duration=durations, loop=0)
+
+
+def _frame(figure: Figure, places: list[Bbox]) -> Image.Image:
+    """Return a figure, its axes at the places given, as an image."""
+    figure.set_layout_engine("none")
+    for axes, place in zip(figure.axes, places, strict=True):
+        axes.set_position(place)
+    figure.set_dpi(DPI)
+    canvas = cast(FigureCanvasAgg, figure.canvas)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def _figure(course: Course, blank: Inference, k: int, width: float) -> Figure:
+    """Return the picture after state k; with k = L that of the end."""
+    values = np.where(np.isneginf(course.log_likelihood[k]), -np.inf, course.hypotheses[k])
+    is_best = course.hypotheses[k].max() >= course.none[k]
+    best = np.argsort(-values, kind="stable")[:1]
+    shading = Shading(
+        values,
+        of_probability(),
+        "posterior probability",
+        best if np.isfinite(values[best]).all() else best[:0],
+        ("most probable" if is_best else "most probable of the hypotheses", ""),
+        lambda index: wording.probability(course.hypotheses[k, index], 0.0),
+        is_set=False,
+        none=(course.none[k], "no constraint"),
+    )
+    at = "at the end" if k == len(course.demonstration.states) else f"{course.times[k]:.2f} s"
+    none = wording.probability(course.none[k], 0.0)
+    header = [(f"{course.demonstration.name}, {at}: no constraint {none}", 11.5, INK)]
+    whole = planes.Path(course.demonstration.states, course.demonstration.times)
+    return picture(_so_far(course, blank, k), shading, header, width, also=[whole])
+
+
+def _so_far(course: Course, blank: Inference, k: int) -> Inference:
+    """Return an inference from the states up to k, made of that of none, for what is drawn."""
+    whole, upto = course.demonstration, min(k + 1, len(course.demonstration.states))
+    times = None if whole.times is None else whole.times[:upto]
+    part = dataclasses.replace(whole, states=whole.states[:upto], times=times, actions=None)
+    number = course.evidence.match(Task(whole.task.start, whole.task.goal))
+    return dataclasses.replace(
+        blank,
+        demonstrations=(part,),
+        task_of=np.array([number]),
+        entered=course.entered[k : k + 1],
+    )

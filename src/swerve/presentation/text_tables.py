@@ -1,0 +1,164 @@
+"""An inference, and what is picked from it, as text and as JSON data, row by row.
+
+Shapes: K tasks, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swerve.inference.likelihood import THRESHOLD
+from swerve.inference.ranking import Inference
+
+if TYPE_CHECKING:
+    from swerve.inference.greedy import Pick
+    from swerve.inference.posterior import Posterior
+
+
+def table(inference: Inference, num_rows: int) -> str:
+    """Return the head of the ranking as text."""
+    columns = f"{'nats':>8} {'+-':>6}  {'posterior':>9}  {'violated':>8}"
+    lines = [f"{'rank':>5} {'index':>6}  {columns}  hypothesis"]
+    ranking, ranks = inference.ranking, inference.rank
+    for index, rank in list(zip(ranking, ranks, strict=True))[:num_rows]:
+        tied = "=" if np.count_nonzero(ranks == rank) > 1 else " "
+        least = "≥" if inference.is_lower_bound[index] else " "
+        lines.append(
+            f"{rank:>4}{tied} {index:>6} {least}{inference.log_likelihood[index]:>8.2f} "
+            f"{inference.standard_error[index]:>6.2f}  "
+            f"{inference.posterior.hypotheses[index]:>9.4f}  "
+            f"{inference.average_violation[index]:>8.3f}  {inference.hypothesis_name(index)}"
+        )
+    if len(ranking) > num_rows:
+        lines.append(f"      ... {len(ranking) - num_rows} more")
+    return "\n".join(lines)
+
+
+def to_json(inference: Inference) -> dict[str, Any]:
+    """Return the ranking, best first, the posterior and diagnostics of each task used.
+
+    What belongs to the posterior is null where everything that the prior allows is ruled out.
+    """
+    evidence = inference.evidence
+    posterior = None if inference.is_ruled_out else inference.posterior
+    tasks = inference.task_of if inference.demonstrations else range(evidence.num_tasks)
+    return {
+        "headline": inference.headline,
+        "problem": evidence.problem.summary,
+        "score": inference.score_name,
+        "tolerance": inference.tolerance,
+        "num_demonstrations": len(inference.demonstrations),
+        "none": _none(inference, posterior),
+        "credible_set": posterior and _credible_set(inference),
+        "ranking": [
+            {
+                "index": int(index),
+                "name": inference.hypothesis_name(index),
+                "log_likelihood": float(inference.log_likelihood[index]),
+                "standard_error": float(inference.standard_error[index]),
+                "is_lower_bound": bool(inference.is_lower_bound[index]),
+                "average_violation": float(inference.average_violation[index]),
+                "posterior": posterior and float(posterior.hypotheses[index]),
+                "posterior_error": posterior and float(posterior.error[index]),
+                "rank": int(rank),
+            }
+            for index, rank in zip(inference.ranking, inference.rank, strict=True)
+        ],
+        "struck_out": _struck_out(inference),
+        "warnings": list(inference.warnings),
+        "diagnostics": [_task_diagnostics(inference, int(k)) for k in dict.fromkeys(tasks)],
+    }
+
+
+def picks_table(inference: Inference, picks: Sequence[Pick], most: int) -> str:
+    """Return what greedy selection picked, at most so many, in order, and why it ended, as text."""
+    enough = f"{THRESHOLD:g} nats a demonstration, the least to be picked"
+    if not picks:
+        return f"no constraint explains {enough}"
+    columns = f"{'nats':>8} {'a demo':>8} {'+-':>6}  {'log odds':>8}"
+    lines = [f"{'pick':>5} {'index':>6}  {columns}  hypothesis"]
+    for number, pick in enumerate(picks, 1):
+        lines.append(
+            f"{number:>5} {pick.hypothesis:>6}  {pick.total_gain:>8.2f} {pick.gain:>8.3f} "
+            f"{pick.standard_error:>6.3f}  {pick.log_odds:>8.2f}  "
+            f"{inference.hypothesis_name(pick.hypothesis)}"
+        )
+    ended = f"as many as asked for: {most}"
+    lines.append(f"      {ended if len(picks) == most else f'no other explains {enough}'}")
+    return "\n".join(lines)
+
+
+def picks_to_json(inference: Inference, picks: Sequence[Pick]) -> list[dict[str, Any]]:
+    """Return what greedy selection picked, in order; null where a number is infinite."""
+    return [
+        {
+            "index": pick.hypothesis,
+            "name": inference.hypothesis_name(pick.hypothesis),
+            "total_gain": pick.total_gain,
+            "gain": pick.gain,
+            "standard_error": _finite(pick.standard_error),
+            "log_odds": _finite(pick.log_odds),
+        }
+        for pick in picks
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _none(inference: Inference, posterior: Posterior | None) -> dict[str, Any]:
+    return {
+        "prior": float(inference.prior[0]),
+        "posterior": posterior and posterior.none,
+        "posterior_error": posterior and posterior.none_error,
+        "log_bayes_factor": _finite(inference.log_bayes_factor),
+        "least_tolerance": inference.least_tolerance,
+    }
+
+
+def _credible_set(inference: Inference) -> dict[str, Any]:
+    credible = inference.credible_set()
+    return {
+        "has_none": credible.has_none,
+        "hypotheses": credible.hypotheses.tolist(),
+        "probability": credible.probability,
+    }
+
+
+def _struck_out(inference: Inference) -> list[dict[str, Any]]:
+    against = inference.entered & inference.is_counted[inference.task_of]
+    return [
+        {
+            "index": index,
+            "name": inference.hypothesis_name(index),
+            "impossible": bool(inference.impossible[index]),
+            "entered_by": [
+                inference.demonstrations[d].name for d in np.flatnonzero(against[:, index])
+            ],
+        }
+        for index in np.flatnonzero(inference.struck_out).tolist()
+    ]
+
+
+def _task_diagnostics(inference: Inference, task: int) -> dict[str, Any]:
+    evidence = inference.evidence
+    return {
+        "task": task,
+        "demonstrations": inference.demonstrations_of(task),
+        "start": evidence.tasks.start[task].tolist(),
+        "goal": evidence.tasks.goal[task].tolist(),
+        "solver": evidence.solver,
+        "method": evidence.method,
+        "num_trajectories": evidence.num_trajectories,
+        "effective_sample_size": float(evidence.effective_sample_size[task]),
+        "log_partition": float(evidence.log_partition[task]),
+        "kl": float(evidence.kl[task]),
+        "island_spread": float(evidence.island_spread[task]),
+        "distinct_share": float(evidence.distinct_share[task]),
+        "verdict": inference.verdict(task),
+    }

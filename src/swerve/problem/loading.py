@@ -1,0 +1,393 @@
+"""Texts that name a thing and its parameters: "pendulum?max_torque=10", "robot.py:problem".
+
+A specification is a target and parameters, `target?name=value&name=value`. Parameters are
+converted to the types that the target's signature gives them, by annotations or else by defaults.
+"""
+
+from __future__ import annotations
+
+import builtins
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import re
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import cache
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, get_args, get_type_hints
+from weakref import WeakKeyDictionary
+
+SHIPPED = {
+    "car": "swerve.systems.car:car",
+    "double-pendulum": "swerve.systems.double_pendulum:double_pendulum",
+    "pendulum": "swerve.systems.pendulum:pendulum",
+    "gridworld": "swerve.systems.gridworld:gridworld",
+}
+# 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may well be texts
+PLAIN_NUMBER = re.compile(
+    r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE
+)
+_SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hashes of the files of modules
+
+
+@dataclass(frozen=True)
+class Specification:
+    """A target and the texts of its parameters."""
+
+    target: str
+    parameters: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def parse(cls, text: str) -> Specification:
+        """Split "target?a=1&b=2".
+
+        Raises:
+          ValueError: if a parameter is not of the form name=value, or is given twice.
+        """
+        target, _, query = text.partition("?")
+        parameters: dict[str, str] = {}
+        for item in query.split("&") if query else []:
+            name, equals, value = item.partition("=")
+            if not (name and equals and value):
+                raise ValueError(f"{text!r}: expected name=value after '?', got {item!r}")
+            if name in parameters:
+                raise ValueError(f"{text!r}: parameter {name!r} is given twice")
+            parameters[name] = value
+        return cls(target, tuple(sorted(parameters.items())))
+
+    def __str__(self) -> str:
+        query = "&".join(f"{name}={_canonical(value)}" for name, value in self.parameters)
+        return f"{self.target}?{query}" if query else self.target
+
+
+def canonical_problem(text: str) -> str:
+    """Return a text that is the same only for ways to write the same problem specification.
+
+    Files are made absolute, modules get their folder, parameters are sorted, and plain numbers
+    written one way: 10, 10.0 and 1e1. No code is loaded, so which parameters are numbers is not
+    known: what is more likely a text, or has more digits than a float (007, 1.10, 1_000), stays as
+    it is. Taking one problem for two costs a message; taking two for one would be a wrong answer.
+    """
+    specification = Specification.parse(text)
+    path, colon, name = specification.target.rpartition(":")
+    if colon and path.endswith(".py"):
+        target = f"{Path(path).resolve()}:{name}"
+        return str(Specification(target, specification.parameters))
+    return f"{specification}{_place(path)}" if colon else str(specification)
+
+
+def _place(module: str) -> str:
+    """Return where a module that is not installed would be imported from, ' in FOLDER'."""
+    _search_here()
+    try:
+        found = importlib.util.find_spec(module.partition(".")[0])
+    except ValueError:  # of what no file made
+        return ""
+    places = [found.origin, *(found.submodule_search_locations or ())] if found else []
+    files = [Path(place) for place in places if place]
+    return f" in {files[0].parent}" if files and _is_user_source(files[0]) else ""
+
+
+def load_problem(text: str) -> Any:
+    """Return the Problem that a specification names.
+
+    Args:
+      text: a shipped name ("pendulum"), "path/to/file.py:name" or "package.module:name", with
+        parameters after "?" where the name is a function that returns a Problem.
+
+    Raises:
+      ValueError: if it names nothing, or something that is no Problem.
+    """
+    from swerve.problem.problem import Problem
+
+    specification = Specification.parse(text)
+    target = SHIPPED.get(specification.target, specification.target)
+    path, colon, name = target.rpartition(":")
+    if not colon:
+        raise ValueError(
+            f"{text!r} is no problem: expected one of {', '.join(SHIPPED)}, a path/to/file.py:name "
+            "or a package.module:name"
+        )
+    module = _load_file(Path(path)) if path.endswith(".py") else _load_module(path, text)
+    if not hasattr(module, name):
+        raise ValueError(f"{text!r}: {path} defines no {name!r}")
+    found = getattr(module, name)
+    if callable(found) and not isinstance(found, Problem):
+        with _user_code():
+            found = build(found, specification, text)
+    elif specification.parameters:
+        raise ValueError(
+            f"{text!r}: {name!r} is a Problem, not a function that returns one, "
+            "so it takes no parameters"
+        )
+    if not isinstance(found, Problem):
+        raise ValueError(f"{text!r}: expected a swerve.Problem, got {type(found).__name__}")
+    source_hashes(found)  # while the files are still those that were imported
+    return found
+
+
+def build(function: Callable[..., Any], specification: Specification, text: str) -> Any:
+    """Call a function or class with a specification's parameters, converted to its types.
+
+    A parameter whose annotation is missing, or names something that exists for type checkers
+    alone, has the type of its default, or else is a text.
+
+    Raises:
+      ValueError: if it takes no such parameter, or a value is not of its type.
+    """
+    known = inspect.signature(function).parameters
+    arguments = {}
+    for name, value in specification.parameters:
+        if name not in known:
+            raise ValueError(
+                f"{text!r}: no parameter {name!r}; there are {', '.join(known) or 'none'}"
+            )
+        try:
+            arguments[name] = _convert(value, function, known[name])
+        except ValueError as error:
+            raise ValueError(f"{text!r}: parameter {name!r}: {error}") from None
+    missing = [
+        name
+        for name, parameter in known.items()
+        if parameter.default is parameter.empty
+        and name not in arguments
+        and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+    ]
+    if missing:
+        raise ValueError(f"{text!r}: parameters without a value: {', '.join(missing)}")
+    return function(**arguments)
+
+
+def source_hashes(problem: Any) -> dict[str, str]:
+    """Return the hash of every source file that a problem may have come from.
+
+    These are the `.py` files, none of them installed or of the standard library, of
+
+    - all modules that are imported at this moment, whether or not the problem uses them, except
+      Swerve's own and the script that Python was started with;
+    - the modules that define the classes of the MDP, also if they are that script or Swerve's.
+
+    Data files, compiled modules and what is imported later are not among them. A module that has
+    been seen before has the hash of its file then, since that is the code that runs.
+    """
+    modules = {name: sys.modules[name] for name in _user_modules()}
+    for base in type(problem.mdp).__mro__:
+        modules[base.__module__] = sys.modules[base.__module__]
+    hashes = {}
+    for module in modules.values():
+        path = Path(str(getattr(module, "__file__", None)))
+        if _is_user_source(path):
+            hashes[str(path)] = _SEEN.setdefault(module, file_hash(path))
+    return dict(sorted(hashes.items()))
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, or "missing"."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return "missing"
+
+
+def _user_modules() -> dict[str, Path]:
+    """Return the files of imported modules that are neither Swerve's, installed nor `__main__`."""
+    files = {
+        name: Path(file)
+        for name, module in list(sys.modules.items())
+        for file in [getattr(module, "__file__", None)]
+        if file and name != "__main__" and name.partition(".")[0] != "swerve"
+    }
+    return {name: path for name, path in files.items() if _is_user_source(path)}
+
+
+def _is_user_source(path: Path) -> bool:
+    return (
+        path.suffix == ".py"
+        and not {"site-packages", "dist-packages"} & set(path.parts)  # of users, of Debian
+        and not any(path.is_relative_to(folder) for folder in _installed())
+    )
+
+
+@cache
+def _installed() -> list[str]:
+    return [sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+
+
+def _load_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file")
+    path = path.resolve()
+    _check_neighbours(path)
+    sys.path.insert(0, str(path.parent))  # so that it can import its neighbours
+    # never the name of an installed module, nor of a file of this name in another folder
+    name = f"swerve_problem_{path.stem}_{hashlib.sha256(bytes(path)).hexdigest()[:8]}"
+    specification = importlib.util.spec_from_file_location(name, path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    try:
+        with _user_code():
+            specification.loader.exec_module(module)
+    except ValueError:
+        del sys.modules[name]
+        raise
+    return module
+
+
+@contextmanager
+def _user_code() -> Iterator[None]:
+    """Turn whatever a user's code raises into a ValueError that says on which line of which file.
+
+    What does not come from a line of theirs is left as it is.
+    """
+    try:
+        yield
+    except Exception as error:
+        lines = [
+            f"{frame.f_code.co_filename}, line {number}"
+            for frame, number in traceback.walk_tb(error.__traceback__)
+            if frame.f_globals.get("__name__", "").partition(".")[0] != "swerve"
+            and _is_user_source(Path(frame.f_code.co_filename))
+        ]
+        if isinstance(error, SyntaxError) and error.filename:
+            lines.append(f"{error.filename}, line {error.lineno}")
+        if not lines:
+            raise
+        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        text = error.msg if isinstance(error, SyntaxError) else error
+        raise ValueError(f"{lines[-1]}: {kind}{text}") from error
+
+
+def _check_neighbours(path: Path) -> None:
+    """Raise ValueError where a file would get another folder's module in place of its neighbour.
+
+    Python keeps one module of a name. To put the neighbour in its place would only turn the mistake
+    round, since functions of the file loaded first may import it as late as when they are called.
+    """
+    for name, loaded in _user_modules().items():
+        stem = path.parent.joinpath(*name.split("."))
+        for neighbour in (stem.with_suffix(".py"), stem / "__init__.py"):
+            if neighbour != path and neighbour.is_file() and not _same(neighbour, loaded):
+                raise ValueError(
+                    f"{path}: `import {name}` would not give its neighbour {neighbour} but "
+                    f"{loaded}, which is imported already: rename one of the two, or use the two "
+                    "in separate processes"
+                )
+
+
+def _same(a: Path, b: Path) -> bool:
+    return a.resolve() == b.resolve()
+
+
+def _load_module(name: str, text: str) -> ModuleType:
+    _search_here()
+    try:
+        with _user_code():
+            return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{text!r}: {error}") from error
+
+
+def _search_here() -> None:
+    """Look for modules in the current folder first, as `python -m` does."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+
+
+def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
+    """Convert a text to the type of a parameter; of several, the first that fits."""
+    hint, remark = _annotation(function, parameter), ""
+    options = (hint,) if hint in list(_CONVERSIONS) else get_args(hint)
+    kinds = [kind for kind in options if kind in list(_CONVERSIONS)]
+    if not kinds:
+        kinds = [kind for kind in (bool, int, float, str) if isinstance(parameter.default, kind)][
+            :1
+        ]
+        remark = f": its default is {parameter.default!r}"
+        if kinds == [int]:
+            remark += ", so annotate it as float if it may have fractions"
+    for kind in kinds or [str]:
+        try:
+            return _CONVERSIONS[kind](value)
+        except ValueError:
+            continue
+    expected = " or ".join(str(kind) if get_args(kind) else kind.__name__ for kind in kinds)
+    raise ValueError(f"expected {expected}, got {value!r}{remark}")
+
+
+def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
+    """Return a parameter's annotation, or None where there is none or it cannot be resolved.
+
+    Each is resolved on its own: one that names what is imported for type checkers alone leaves the
+    others as they are.
+    """
+    if parameter.annotation is parameter.empty:
+        return None
+    holder = SimpleNamespace(__annotations__={"it": parameter.annotation})
+    for namespace in _namespaces(function):
+        try:
+            return get_type_hints(holder, namespace)["it"]
+        except Exception:  # whatever a user's annotation may raise
+            continue
+    return None
+
+
+def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
+    """Return where the names in a signature may be defined; a class inherits its bases' fields."""
+    if isinstance(function, type):
+        return [vars(sys.modules.get(base.__module__, builtins)) for base in function.__mro__]
+    inner = getattr(function, "func", function)  # of functools.partial
+    return [getattr(inspect.unwrap(inner), "__globals__", {})]
+
+
+def _ints(value: str) -> tuple[int, ...]:
+    """Return several numbers; a single one is no tuple."""
+    if "," not in value:
+        raise ValueError
+    return tuple(_int(part) for part in value.split(","))
+
+
+def _floats(value: str) -> tuple[float, ...]:
+    return tuple(float(part) for part in value.split(","))
+
+
+def _bool(value: str) -> bool:
+    if value.lower() not in ("true", "false"):
+        raise ValueError
+    return value.lower() == "true"
+
+
+def _int(value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        number = float(value)  # accepts 2e6
+    if not number.is_integer():
+        raise ValueError
+    return int(number)
+
+
+_CONVERSIONS: dict[Any, Callable[[str], Any]] = {
+    tuple[int, ...]: _ints,
+    tuple[float, ...]: _floats,
+    bool: _bool,
+    int: _int,
+    float: float,
+    str: str,
+}
+
+
+def _canonical(value: str) -> str:
+    if not PLAIN_NUMBER.fullmatch(value):
+        return value
+    number = repr(float(value)).removesuffix(".0")
+    return number if Decimal(number) == Decimal(value) else value

@@ -1,0 +1,264 @@
+"""A constraint inference problem, and what stored results need to know of it.
+
+The nominal distribution of the problem is
+
+    pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0,
+
+over trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
+m = A^-length ("uniform"). A hypothesis c restricts it further:
+pi_c = m exp(beta R) 1[avoids c] / Z_c.
+
+`Problem` holds the model, which needs JAX; `ProblemRecord` is the rest of it as plain data, stored
+with every result, so that inference needs neither JAX nor user code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swerve.base.arguments import positive_number
+from swerve.base.space import StateSpace, Transitions
+from swerve.constraints.base import Constraint, check_constraints
+from swerve.constraints.boxes import ActionBox
+from swerve.constraints.state_action import StateAction
+from swerve.constraints.stored import constraint_from_json
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
+
+if TYPE_CHECKING:
+    from swerve.problem.mdp import MDP
+
+MEASURES = ("uniform", "counting")
+OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # a file that is moved is the same problem
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """An MDP, what is hypothesised, and what is assumed of the demonstrator.
+
+    Attributes:
+      mdp: dynamics, reward, actions, horizon.
+      hypotheses: the constraints among which to look, from `grid` or a list of them.
+      beta: inverse temperature of the demonstrator, nats per unit of reward.
+      measure: base measure of trajectories, "uniform" (A^-length) or "counting" (1).
+      known: constraints known to hold, which the nominal distribution obeys too.
+      between_states: whether crossing a constraint between two states counts as entering it;
+        False judges the states alone, as the paper does. None is True, and False for a tabular MDP,
+        between whose states there is nothing.
+    """
+
+    mdp: MDP
+    hypotheses: HypothesisSet
+    beta: float = 1.0
+    measure: str = "uniform"
+    known: Sequence[Constraint] = ()
+    between_states: bool = None  # pyright: ignore[reportAssignmentType]  # set below
+
+    if TYPE_CHECKING:  # a list is made into a set
+
+        def __init__(
+            self,
+            mdp: MDP,
+            hypotheses: HypothesisSet | Sequence[Constraint],
+            beta: float = 1.0,
+            measure: str = "uniform",
+            known: Sequence[Constraint] = (),
+            between_states: bool | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        from swerve.problem.mdp import MDP, check_mdp
+
+        if not isinstance(self.mdp, MDP):
+            raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
+        check_mdp(self.mdp)
+        space, action_names = self.mdp.space, tuple(self.mdp.action_names)
+        if self.between_states is None:
+            object.__setattr__(self, "between_states", not space.is_lattice)
+        if not isinstance(self.hypotheses, HypothesisSet):
+            check_constraints(self.hypotheses, space, action_names, "hypotheses")
+            object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))
+        positive_number(self.beta, "beta")
+        if self.measure not in MEASURES:
+            raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
+        self.hypotheses.check(space, action_names)
+        _check_actions(self.hypotheses, self.mdp)
+        known = check_constraints(self.known, space, action_names, "known")
+        object.__setattr__(self, "known", known)
+
+    @property
+    def record(self) -> ProblemRecord:
+        """The problem as plain data."""
+        from swerve.problem.mdp import MDP
+
+        return ProblemRecord(
+            name=_mdp_name(self.mdp),
+            space=self.mdp.space,
+            action_names=tuple(self.mdp.action_names),
+            goal_names=tuple(self.mdp.goal_names),
+            goal_is_last_state=type(self.mdp).goal_of is MDP.goal_of,
+            num_actions=self.mdp.num_actions,
+            num_steps=self.mdp.num_steps,
+            dt=float(self.mdp.dt),
+            hypotheses=self.hypotheses,
+            known=tuple(self.known),
+            beta=float(self.beta),
+            measure=self.measure,
+            between_states=bool(self.between_states),
+            mdp_digest=_mdp_digest(self.mdp),
+            transitions=getattr(self.mdp, "transitions", None),
+        )
+
+
+def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
+    """Raise ValueError where a hypothesis forbids none of the actions: it could never be told."""
+    if not hypotheses.about_actions:
+        return
+    table = np.asarray(mdp.actions)
+    span = ", ".join(
+        f"{name} from {low:g} to {high:g}"
+        for name, low, high in zip(mdp.action_names, table.min(0), table.max(0), strict=True)
+    )
+    for index in range(len(hypotheses)):
+        for part in hypotheses.constraint(index).parts:
+            box = part.actions if isinstance(part, StateAction) else part
+            if isinstance(box, ActionBox) and not box.among(mdp).any():
+                raise ValueError(
+                    f"hypotheses: {part.name} forbids none of the {len(table)} actions of "
+                    f"{type(mdp).__name__} ({span}), so that nothing would tell it from no "
+                    "constraint: widen it, or give the MDP such actions"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemRecord:
+    """Everything about a problem except how to run its dynamics.
+
+    Attributes:
+      name: the MDP and its parameters, for people.
+      goal_is_last_state: whether `MDP.goal_of` is the default one.
+      mdp_digest: hash of the MDP's class name, parameters and actions.
+      transitions: of a tabular MDP; None for others.
+      Others: as in `Problem` and `MDP`.
+    """
+
+    name: str
+    space: StateSpace
+    action_names: tuple[str, ...]
+    goal_names: tuple[str, ...]
+    goal_is_last_state: bool
+    num_actions: int
+    num_steps: int
+    dt: float
+    hypotheses: HypothesisSet
+    known: tuple[Constraint, ...]
+    beta: float
+    measure: str
+    between_states: bool
+    mdp_digest: str
+    transitions: Transitions | None = None
+
+    @property
+    def needs_code(self) -> bool:
+        """Whether judging a demonstration needs functions that no file can hold."""
+        return self.hypotheses.needs_code or any(c.needs_code for c in self.known)
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash that differs between problems: of the model, hypotheses, and all settings."""
+        return _digest(json.dumps(self.to_json()))  # unsorted: the order of a grid's axes counts
+
+    @property
+    def summary(self) -> str:
+        """One line for people: the model and the settings that results depend on."""
+        known = f", known: {'; '.join(c.name for c in self.known)}" if self.known else ""
+        judged = "states and segments between them" if self.between_states else "states alone"
+        return (
+            f"{self.name}, beta {self.beta:g}, {self.measure} measure, "
+            f"{len(self.hypotheses)} hypotheses judged at {judged}{known}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        data = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return data | {
+            "space": self.space.to_json(),
+            "hypotheses": self.hypotheses.to_json(),
+            "known": [constraint.to_json() for constraint in self.known],
+            "action_names": list(self.action_names),
+            "goal_names": list(self.goal_names),
+            "transitions": self.transitions
+            and [np.asarray(values).tolist() for values in self.transitions],
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> ProblemRecord:
+        """Rebuild a record from `to_json` data."""
+        return cls(
+            **data
+            | {
+                "space": StateSpace.from_json(data["space"]),
+                "hypotheses": hypotheses_from_json(data["hypotheses"]),
+                "known": tuple(constraint_from_json(item) for item in data["known"]),
+                "action_names": tuple(data["action_names"]),
+                "goal_names": tuple(data["goal_names"]),
+                "transitions": data["transitions"] and _transitions(*data["transitions"]),
+            }
+        )
+
+
+def _transitions(shape: list, successors: list, actions: list) -> Transitions:
+    return Transitions(tuple(shape), np.array(successors), np.array(actions))
+
+
+def _mdp_name(mdp: MDP) -> str:
+    """Return for example 'Pendulum(max_torque=10.0, num_torques=5)': the scalar parameters."""
+    parameters = [
+        f"{field.name}={value:.6g}" if isinstance(value, float) else f"{field.name}={value}"
+        for field in dataclasses.fields(mdp)
+        for value in [getattr(mdp, field.name)]
+        if isinstance(value, int | float | str)
+    ]
+    return f"{type(mdp).__name__}({', '.join(parameters)})"
+
+
+def _mdp_digest(mdp: MDP) -> str:
+    """Hash an MDP's class, its parameters and everything that `MDP` says of it as data."""
+    import jax
+
+    leaves, _ = jax.tree_util.tree_flatten_with_path(mdp)
+    module = re.sub(OF_A_FILE, r"\1", type(mdp).__module__)
+    parts = [f"{module}.{type(mdp).__qualname__}", _mdp_name(mdp)]
+    for path, leaf in leaves:
+        if callable(leaf):  # its bytes would be an address
+            parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
+            continue
+        array = np.asarray(leaf)
+        parts.append(f"{jax.tree_util.keystr(path)}{array.dtype}{array.shape}")
+        parts.append(array.tobytes().hex())
+    parts += _static_fields(mdp, "")
+    parts.append(np.asarray(mdp.actions, np.float64).tobytes().hex())
+    return _digest("\n".join(parts))
+
+
+def _static_fields(module: Any, path: str) -> list[str]:
+    """Return the static fields of a module and the modules in it, which are no leaves."""
+    parts = []
+    for field in dataclasses.fields(module):
+        value, where = getattr(module, field.name), f"{path}.{field.name}"
+        if field.metadata.get("static"):
+            parts.append(f"{where}={value!r}")
+        elif dataclasses.is_dataclass(value):
+            parts += _static_fields(value, where)
+    return parts
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

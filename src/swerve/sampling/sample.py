@@ -1,0 +1,232 @@
+"""Sampling the nominal distribution, reduced to evidence as it goes.
+
+Trajectories of each task are rolled out in chunks on as many threads as there are cores, judged
+against all hypotheses at once and dropped; what is kept is their reward, log-probability, length
+and one bit a hypothesis, and a few whole ones for pictures.
+
+Shapes: K tasks, N trajectories, T steps, H hypotheses, M kept trajectories, n states, g goal
+dimensions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import zlib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+
+from swerve.base.arguments import positive_number, whole_number
+from swerve.base.progress import progress_bar
+from swerve.base.space import Task
+from swerve.evidence.estimators import NothingLeftError
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.exact import exact_evidence
+from swerve.evidence.samples import EXACT, METHODS, RESAMPLED, SMC_SOLVERS, TEMPERED, summarise
+from swerve.problem.problem import ProblemRecord
+from swerve.problem.tasks import checked_tasks
+from swerve.sampling.one_task import Job, draw_task, whole_islands
+from swerve.simulation.policies import ValuedPolicy
+from swerve.solvers.learn import ExactNominal, Nominal, PolicyNominal
+from swerve.solvers.trained.training import TrainedNominal
+
+
+def sample(
+    nominal: Nominal,
+    tasks: Task | Sequence[Task],
+    num_trajectories: int = 10_000,
+    *,
+    method: str | None = None,
+    beta: float | None = None,
+    seed: int = 0,
+    progress: bool = False,
+) -> Evidence:
+    """Sample trajectories of each task and judge them against every hypothesis.
+
+    Args:
+      nominal: from `learn`.
+      tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
+      num_trajectories: N for each task; of no matter where answers are exact.
+      method: "importance" weighs each trajectory by target over proposal, so that the answer is
+        right however imperfect the policy, as long as it covers all modes; "smc" resamples them by
+        weight on the way as well (sequential Monte Carlo; N is then rounded up to a multiple of
+        20), for solvers with a soft value ("grid", "soft-value", "distilled"), whose default it is;
+        "plain" weighs all alike, as the paper does. Solvers that give exact answers take none of
+        these.
+      beta: of the demonstrator, where it is not the one that was learned for. A soft value that
+        was learned for a span of beta is used as it is; else the trajectories are brought there by
+        way of as many temperatures between as it takes (the paper, Theorem 2; see `tempering`),
+        whatever the policy, and `method` is left out. `Evidence.at_beta` is quicker where beta is
+        near.
+      seed: of the sampling. A task's trajectories depend on the seed and the task alone, not on
+        the other tasks of the call.
+      progress: whether to show a progress bar.
+
+    Returns:
+      Evidence for these tasks, in their order.
+
+    Raises:
+      ValueError: if an argument is of the wrong kind or range, a task does not fit the problem, or
+        the dynamics return NaN.
+    """
+    found = dict(
+        sample_each(
+            nominal,
+            tasks,
+            num_trajectories,
+            method=method,
+            beta=beta,
+            seed=seed,
+            progress=progress,
+        )
+    )
+    first, *others = (found[k] for k in sorted(found))
+    return first.joined(*others)
+
+
+def sample_each(
+    nominal: Nominal,
+    tasks: Task | Sequence[Task],
+    num_trajectories: int,
+    *,
+    method: str | None,
+    beta: float | None = None,
+    seed: int,
+    progress: bool,
+) -> Iterator[tuple[int, Evidence]]:
+    """Yield the number of each task and its evidence as soon as it is there; see `sample`.
+
+    Tasks with the same goal follow one another, whatever their order.
+    """
+    if beta is not None:
+        beta = positive_number(beta, "beta")
+        if isinstance(nominal, TrainedNominal) and nominal.covers(beta):
+            nominal, beta = nominal.at_beta(beta), None
+    if beta is not None:
+        if method not in (None, TEMPERED):
+            raise ValueError(
+                f"method: another beta than the one learned for is reached by {TEMPERED!r}, so "
+                f"leave {method!r} out"
+            )
+        method = TEMPERED
+    if isinstance(nominal, ExactNominal):
+        yield from _answer_each(nominal, tasks, method, seed, progress)
+    elif isinstance(nominal, PolicyNominal):
+        if method is None:
+            method = "smc" if nominal.solver.name in SMC_SOLVERS else "importance"
+        if method not in METHODS and beta is None:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        record = nominal.problem.record
+        if beta is not None:
+            record = dataclasses.replace(record, beta=beta)
+        yield from _sample_each(nominal, tasks, num_trajectories, method, record, seed, progress)
+    else:
+        raise ValueError(f"nominal: expected what swerve.learn returns, got {nominal!r}")
+
+
+def _answer_each(
+    nominal: ExactNominal,
+    tasks: Task | Sequence[Task],
+    method: str | None,
+    seed: int,
+    progress: bool,
+) -> Iterator[tuple[int, Evidence]]:
+    """Yield the exact evidence of each task in turn."""
+    if method == TEMPERED:
+        raise ValueError(
+            f"beta: the {nominal.solver.name} solver gives exact answers for the problem's beta: "
+            "learn a problem with this beta"
+        )
+    if method not in (None, EXACT):
+        raise ValueError(
+            f"method: the {nominal.solver.name} solver gives exact answers, so there is nothing to "
+            f"sample by {method!r}: leave method out"
+        )
+    seed = whole_number(seed, "seed", 0)
+    batch = checked_tasks(nominal.problem, tasks)
+    record = nominal.problem.record
+    with progress_bar("working out", len(batch.start), progress) as advance:
+        for k in range(len(batch.start)):
+            task = Task(batch.start[k], batch.goal[k])
+            generator = np.random.default_rng([seed, zlib.crc32(np.concatenate(task).tobytes())])
+            with _naming(k, task):
+                answer = nominal.answer(task, generator, advance)
+                evidence = exact_evidence(record, task, answer, repr(nominal.solver), seed)
+            yield k, evidence
+
+
+def _sample_each(
+    nominal: PolicyNominal,
+    tasks: Task | Sequence[Task],
+    num_trajectories: int,
+    method: str,
+    record: ProblemRecord,
+    seed: int,
+    progress: bool,
+) -> Iterator[tuple[int, Evidence]]:
+    """Yield the evidence of each task, sampled for the beta of a record."""
+    batch = checked_tasks(nominal.problem, tasks)
+    num_trajectories = whole_number(num_trajectories, "num_trajectories", 2)
+    if method in RESAMPLED:
+        num_trajectories = math.prod(whole_islands(num_trajectories))
+    seed = whole_number(seed, "seed", 0)
+    _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
+    goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
+    total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs about as much
+    workers = ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0)))
+    with workers, progress_bar("sampling", total, progress) as advance:
+        policies = nominal.policies(goals, lambda share: advance(share * num_trajectories))
+        for goal, policy in enumerate(policies):
+            for k in np.flatnonzero(goal_of_task.reshape(-1) == goal).tolist():
+                task = Task(batch.start[k], batch.goal[k])
+                alone = Task(task.start[None], task.goal[None])
+                job = Job(nominal.problem, record, policy, task, num_trajectories, method, seed)
+                if method == "smc" and not isinstance(policy, ValuedPolicy):
+                    raise ValueError(
+                        "method: 'smc' needs a solver with a soft value "
+                        f"({', '.join(SMC_SOLVERS)}), got {nominal.solver.name!r}: use 'importance'"
+                    )
+                with _naming(k, task):
+                    samples = draw_task(job, workers.map, advance)
+                    summary = summarise(record, samples, method)
+                yield (
+                    k,
+                    Evidence(
+                        problem=record,
+                        tasks=alone,
+                        method=method,
+                        num_trajectories=num_trajectories,
+                        solver=repr(nominal.solver),
+                        seed=seed,
+                        summary=summary,
+                        load_samples=lambda samples=samples: samples,
+                    ),
+                )
+
+
+@contextmanager
+def _naming(k: int, task: Task) -> Iterator[None]:
+    """Name the task in whatever goes wrong with it."""
+    try:
+        yield
+    except ValueError as error:
+        kind = NothingLeftError if isinstance(error, NothingLeftError) else ValueError
+        raise kind(
+            f"task {k}, from {task.start.tolist()} to {task.goal.tolist()}: {error}"
+        ) from error
+
+
+def _check_memory(num_tasks: int, num_trajectories: int, num_hypotheses: int) -> None:
+    """Refuse what would not fit memory: one bit for each (task, trajectory, hypothesis)."""
+    needed = num_tasks * num_trajectories * ((num_hypotheses + 7) // 8)
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > there:
+        raise ValueError(
+            f"{num_trajectories:,} trajectories of {num_tasks:,} tasks judged against "
+            f"{num_hypotheses:,} hypotheses take {needed / 2**30:,.0f} GiB of memory, and this "
+            f"machine has {there / 2**30:,.0f} GiB: take fewer of one of them"
+        )

@@ -1,0 +1,212 @@
+"""Twisted sequential Monte Carlo: trajectories of a policy with a value, resampled as they go.
+
+A particle begins with the weight exp V_0(s_0) and gains, with each step to where its episode goes
+on (V is 0 where it does not),
+
+    beta r + log m + V_{t+1}(s') - V_t(s) - log pi(a | s, t),
+
+nothing if V is exact and pi the policy of it. Where the effective sample size of an island's
+weights w falls below half of its P particles, these are drawn anew by weight (systematic
+resampling) and weigh alike; with the means of w before each of these times and at the end,
+
+    log Z_0 ~ sum log mean w,        E[exp of it] = Z_0.
+
+Islands have nothing to do with one another: how far they agree is how far they can be trusted.
+Ancestry is kept, and followed back once, at the end.
+
+Shapes: N = I P particles in I islands, T steps, n state dimensions, g goal dimensions. The batch is
+the last axis of every array.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from swerve.problem.problem import Problem
+from swerve.simulation.policies import LOWEST, ValuedPolicy, log_measure
+from swerve.simulation.trajectory import Trajectory, draw_action, take_step
+
+RESAMPLED = 0.5  # of an island's particles: where fewer are effective, it is resampled
+
+
+class Particles(NamedTuple):
+    """Trajectories with what resampling did to their weights.
+
+    Attributes:
+      trajectory: N of them, followed back to the start.
+      log_weight: [N] log of the weight of each, nats: the mean over an island's particles of its
+        exponential is an unbiased estimate of Z_0.
+      root: [N] which of its island's particles each comes from.
+    """
+
+    trajectory: Trajectory
+    log_weight: Float[Array, " N"]
+    root: Int[Array, " N"]
+
+
+class _Particle(NamedTuple):
+    """Particles at one time, all [..., N].
+
+    Attributes:
+      log_weight: gained since the last resampling, nats.
+      owed: what the last step adds to that, but for the value of where it led, nats.
+    """
+
+    state: Array
+    total_reward: Array
+    log_probability: Array
+    length: Array
+    ended: Array
+    root: Array
+    log_weight: Array
+    owed: Array
+
+
+@eqx.filter_jit
+def smc_rollout(
+    policy: ValuedPolicy,
+    start: Float[Array, " n"],
+    goal: Float[Array, " g"],
+    key: Key[Array, ""],
+    num_islands: int,
+    num_particles: int,
+) -> Particles:
+    """Roll out islands of particles of one task.
+
+    Args:
+      policy: what proposes, and says what to expect.
+      start: where all start.
+      goal: of all.
+      key: source of randomness.
+      num_islands: I, static.
+      num_particles: P of an island, static.
+
+    Returns:
+      N = I P particles; those of an island follow one another.
+    """
+    num_steps, num = policy.problem.mdp.num_steps, num_islands * num_particles
+    key_actions, key_resampling = jax.random.split(key)
+    uniforms = jax.random.uniform(key_actions, (num_steps, num))
+    offsets = jax.random.uniform(key_resampling, (num_steps, num_islands))
+    zeros = jnp.zeros(num)
+    first = _Particle(
+        state=jnp.broadcast_to(start[:, None], (len(start), num)),
+        total_reward=zeros,
+        log_probability=zeros,
+        length=jnp.zeros(num, jnp.int32),
+        ended=jnp.zeros(num, bool),
+        root=jnp.tile(jnp.arange(num_particles), num_islands),
+        log_weight=zeros,
+        owed=zeros,
+    )
+    propose = jax.vmap(policy.propose, (-1, None, None), -1)
+    move = jax.vmap(partial(_move, policy.problem, policy.beta), (-1, -1, None, None, -1), -1)
+
+    def advance(carry: tuple[_Particle, Array], x: tuple) -> tuple[tuple[_Particle, Array], tuple]:
+        (particles, log_mean), (step, uniform, offset) = carry, x
+        proposed = propose(particles.state, step, goal)
+        proposed = (proposed[0], jnp.maximum(proposed[1], LOWEST))
+        gain = particles.owed + jnp.where(particles.ended, 0.0, proposed[1])
+        particles = particles._replace(log_weight=particles.log_weight + gain)
+        particles, proposed, mean, ancestor = _resampled(particles, proposed, offset)
+        particles, action = move(particles, proposed, step, goal, uniform)
+        return (particles, log_mean + mean), (particles.state, action, ancestor)
+
+    initial = (first, jnp.zeros(num_islands))
+    (last, log_mean), history = jax.lax.scan(
+        advance, initial, (jnp.arange(num_steps), uniforms, offsets)
+    )
+    states, actions = _followed_back(*history)
+    states = jnp.concatenate([first.state[None], states])
+    trajectory = Trajectory(states, actions, last.total_reward, last.log_probability, last.length)
+    log_weight = last.log_weight + last.owed + jnp.repeat(log_mean, num_particles)
+    return Particles(trajectory, log_weight, last.root)
+
+
+def _move(
+    problem: Problem,
+    beta: float | Float[Array, ""],
+    particle: _Particle,
+    proposed: tuple[Array, Array],
+    step: Array,
+    goal: Array,
+    uniform: Array,
+) -> tuple[_Particle, Array]:
+    """Take one step with one particle, none if it has ended; return the action too."""
+    log_probabilities, value = proposed
+    action, log_probability = draw_action(log_probabilities, uniform)
+    taken = take_step(problem, particle.state, action, step, goal)
+    allowed = ~jnp.isneginf(taken.reward)
+    reward = jnp.where(allowed, beta * taken.reward, -jnp.inf)
+    per_step = log_measure(problem)
+    active = ~particle.ended
+    moved = particle._replace(
+        state=jnp.where(active, taken.state, particle.state),
+        total_reward=particle.total_reward + jnp.where(active, taken.reward, 0.0),
+        log_probability=particle.log_probability + jnp.where(active, log_probability, 0.0),
+        length=particle.length + active,
+        ended=particle.ended | taken.ended,
+        owed=jnp.where(active, reward - per_step - value - log_probability, 0.0),
+    )
+    return moved, action
+
+
+def _resampled(
+    particles: _Particle, proposed: tuple[Array, Array], offset: Float[Array, " I"]
+) -> tuple[_Particle, tuple[Array, Array], Float[Array, " I"], Int[Array, " N"]]:
+    """Resample the islands that need it.
+
+    Returns:
+      The particles, what is proposed to each, the log-mean of the weights of each island that was
+      resampled [nats], 0 for others, and each particle's ancestor.
+    """
+    islands = particles.log_weight.reshape(len(offset), -1)
+    num_islands, num_particles = islands.shape
+    largest = islands.max(axis=1, keepdims=True)
+    weight = jnp.exp(islands - jnp.where(jnp.isneginf(largest), 0.0, largest))
+    total = weight.sum(axis=1)
+    effective = total**2 / jnp.maximum((weight**2).sum(axis=1), 1e-30)
+    needed = (effective < RESAMPLED * num_particles) & (total > 0.0)
+    itself = jnp.arange(num_islands * num_particles)
+
+    def resample(particles: _Particle, proposed: tuple[Array, Array]) -> tuple:
+        chosen = jax.vmap(_systematic)(weight, offset)
+        first = num_particles * jnp.arange(num_islands)[:, None]
+        ancestor = jnp.where(needed[:, None], first + chosen, itself.reshape(islands.shape))
+        ancestor = ancestor.reshape(-1)
+        log_weight = jnp.where(needed[:, None], 0.0, islands).reshape(-1)
+        particles, proposed = jax.tree.map(lambda x: x[..., ancestor], (particles, proposed))
+        log_mean = jnp.where(needed, jnp.log(total / num_particles) + largest[:, 0], 0.0)
+        return particles._replace(log_weight=log_weight), proposed, log_mean, ancestor
+
+    def keep(particles: _Particle, proposed: tuple[Array, Array]) -> tuple:
+        return particles, proposed, jnp.zeros(num_islands), itself
+
+    return jax.lax.cond(needed.any(), resample, keep, particles, proposed)
+
+
+def _systematic(weight: Float[Array, " P"], offset: Float[Array, ""]) -> Int[Array, " P"]:
+    """Return P indices drawn by weight from one uniform number, by even steps through their sum."""
+    num = len(weight)
+    cumulative = jnp.cumsum(weight)
+    points = (jnp.arange(num) + offset) / num * cumulative[-1]
+    return jnp.minimum(jnp.searchsorted(cumulative, points, side="right"), num - 1)
+
+
+def _followed_back(
+    states: Float[Array, "T n N"], actions: Int[Array, "T N"], ancestors: Int[Array, "T N"]
+) -> tuple[Float[Array, "T n N"], Int[Array, "T N"]]:
+    """Return the states and actions that led to each particle at the end."""
+
+    def back(index: Array, x: tuple[Array, Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+        state, action, ancestor = x
+        return ancestor[index], (state[:, index], action[index])
+
+    last = jnp.arange(states.shape[-1])
+    return jax.lax.scan(back, last, (states, actions, ancestors), reverse=True)[1]

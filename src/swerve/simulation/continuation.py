@@ -1,0 +1,104 @@
+"""Trajectories that go on from any state at any step under a nominal policy.
+
+Each has the log-weight of what is left of it, relative to what the policy takes for its value,
+
+    l = sum_{k >= t} (beta r + log m - log pi) - V_t(s_t),
+
+0 for the exact V and its policy. A policy without a value is taken as it is: l = 0.
+
+Shapes: N trajectories, T steps, n state dimensions, g goal dimensions.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from swerve.problem.problem import Problem
+from swerve.simulation.policies import ValuedPolicy, log_measure
+from swerve.simulation.trajectory import Policy, draw_action, take_step
+
+
+class Continuation(NamedTuple):
+    """The rest of N trajectories; rows before the first step and after an end repeat a state.
+
+    Attributes:
+      states: [T+1, n, N].
+      log_weight: [T+1, N] l of what is left from each step on, nats; -inf where that enters a
+        known constraint.
+    """
+
+    states: Float[Array, "T+1 n N"]
+    log_weight: Float[Array, "T+1 N"]
+
+
+@eqx.filter_jit
+def continued(
+    problem: Problem,
+    policy: Policy,
+    starts: Float[Array, "n N"],
+    first: Int[Array, ""],
+    goal: Float[Array, " g"],
+    key: Key[Array, ""],
+) -> Continuation:
+    """Go on from states at a step to the end of the episode.
+
+    Args:
+      problem: the MDP, beta, the measure and the known constraints.
+      policy: of the goal.
+      starts: where trajectories are.
+      first: t, the step at which they are there; all at the same one.
+      goal: of all.
+      key: source of randomness.
+    """
+    num_steps, num = problem.mdp.num_steps, starts.shape[1]
+    advance = jax.vmap(partial(_advance, problem, policy), (-1, -1, None, None, -1), -1)
+
+    def body(step: Array, carry: tuple) -> tuple:
+        state, ended, states, gains, values = carry
+        uniforms = jax.random.uniform(jax.random.fold_in(key, step), (num,))
+        moved, now_ended, gain, value = advance(state, ended, step, goal, uniforms)
+        states = states.at[step + 1].set(moved)
+        return moved, now_ended, states, gains.at[step].set(gain), values.at[step].set(value)
+
+    ended = jax.vmap(problem.mdp.terminated, (-1, None))(starts, goal)
+    states = jnp.broadcast_to(starts, (num_steps + 1, *starts.shape))
+    zeros = jnp.zeros((num_steps + 1, num))
+    initial = (starts, ended, states, zeros, zeros)
+    *_, states, gains, values = jax.lax.fori_loop(first, num_steps, body, initial)
+    if not isinstance(policy, ValuedPolicy):
+        gains = jnp.where(jnp.isneginf(gains), gains, 0.0)
+    left = jnp.cumsum(gains[::-1], axis=0)[::-1]
+    return Continuation(states, left - values)
+
+
+def _advance(
+    problem: Problem,
+    policy: Policy,
+    state: Array,
+    ended: Array,
+    step: Array,
+    goal: Array,
+    uniform: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Take one step, none where it has ended; return what it gains and what V was before, nats."""
+    if isinstance(policy, ValuedPolicy):
+        (log_probabilities, value), beta = policy.propose(state, step, goal), policy.beta
+    else:
+        log_probabilities, value = policy(state, step, goal), jnp.zeros(())
+        beta = problem.beta
+    action, log_probability = draw_action(log_probabilities, uniform)
+    taken = take_step(problem, state, action, step, goal)
+    forbidden = jnp.isneginf(taken.reward)
+    gain = beta * jnp.where(forbidden, 0.0, taken.reward) - log_measure(problem) - log_probability
+    return (
+        jnp.where(ended, state, taken.state),
+        ended | taken.ended,
+        jnp.where(ended, 0.0, jnp.where(forbidden, -jnp.inf, gain)),
+        jnp.where(ended, 0.0, value),
+    )

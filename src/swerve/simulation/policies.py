@@ -1,0 +1,109 @@
+"""Policies that know what to expect, and those that look one step ahead with a soft value.
+
+With the value V of where each action leads, r_T in place of V where the episode ends,
+
+    Q_t(s, a) = beta r(s, a, s') + V_{t+1}(s'),     pi(a | s, t) = exp Q_t(s, a) / sum_a exp Q_t,
+    (B V)_t(s) = log mean_a exp Q_t(s, a)           (log sum for the counting measure),
+
+so that along a path that pi draws
+
+    sum_t [beta r + log m - log pi] + V(s_end) - V(s_0) = sum_t [(B V)_t(s_t) - V_t(s_t)]:
+
+for the exact V, with B V = V, every path has the same weight, and pi is pi_0.
+
+Shapes: n state dimensions, g goal dimensions, A actions.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from swerve.problem.problem import Problem
+from swerve.simulation.trajectory import take_step
+
+FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
+LOWEST = -1e4  # nats: lower values are not told apart; sums in float32 would lose their digits
+
+
+class ValuedPolicy(eqx.Module):
+    """A policy with a soft value: what sequential Monte Carlo needs.
+
+    Attributes:
+      problem: the MDP, beta, the measure and the known constraints.
+    """
+
+    problem: eqx.AbstractVar[Problem]
+
+    @property
+    def beta(self) -> float | Float[Array, ""]:
+        """Inverse temperature that it is for: the problem's."""
+        return self.problem.beta
+
+    @abc.abstractmethod
+    def propose(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return log pi(a | s, t) of every action, and what it takes for V_t(s) [nats]."""
+
+    def __call__(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " A"]:
+        """Return log pi(a | s, t) of every action."""
+        return self.propose(state, step, goal)[0]
+
+    def soft_value(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, ""]:
+        """Return what the policy takes for V_t(s), nats; that of a start is log Z_0 of the task."""
+        return self.propose(state, step, goal)[1]
+
+
+class LookAhead(ValuedPolicy):
+    """The look-ahead policy of a soft value, with (B V)_t(s); subclasses provide V."""
+
+    problem: eqx.AbstractVar[Problem]
+
+    @abc.abstractmethod
+    def value(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, ""]:
+        """Return V_t(s) [nats] of a state where the episode goes on."""
+
+    def action_values(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> Float[Array, " A"]:
+        """Return Q_t(s, a) for every action [nats], FORBIDDEN where it is not allowed."""
+        problem = self.problem
+
+        def look(action: Array) -> Array:
+            taken = take_step(problem, state, action, step, goal)
+            ahead = jnp.where(taken.ended, 0.0, self.value(taken.state, step + 1, goal))
+            forbidden = jnp.isneginf(taken.reward)
+            reward = jnp.where(forbidden, 0.0, taken.reward)
+            return jnp.where(forbidden, FORBIDDEN, self.beta * reward + ahead)
+
+        return jax.vmap(look)(jnp.arange(problem.mdp.num_actions))
+
+    def propose(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return log pi(a | s, t) of every action, and (B V)_t(s) [nats]."""
+        return self.backed_up(self.action_values(state, step, goal))
+
+    def backed_up(
+        self, action_values: Float[Array, " A"]
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return the policy and (B V)_t(s) [nats] of action values."""
+        total = jax.nn.logsumexp(action_values)
+        return action_values - total, total - log_measure(self.problem)
+
+
+def log_measure(problem: Problem) -> float:
+    """Return what the base measure takes off each step's log-sum: log A if uniform, else 0."""
+    return math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0

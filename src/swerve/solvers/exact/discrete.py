@@ -1,0 +1,260 @@
+"""Discretised dynamics (Stocking et al., 2021): a table of cells for the tabular method.
+
+A state is a cell of a regular grid over the bounds. An action is held for a few steps of the MDP,
+from the centre of the cell; the cell where that ends is the successor. What is exact on the table
+is not so on the MDP: cells are wide, choices are few, and a state that does not leave its cell
+stays for ever. So how many cells there are and how long an action is held matter: sweep over them.
+
+Shapes: S cells, A actions, n state dimensions, P points of a cell, g goal dimensions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from swerve.base.arguments import whole_number
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.problem.problem import Problem
+from swerve.solvers.exact.tabular import States, TableNominal, check_size
+
+RULES = ("centre", "majority")
+MAX_DIMENSIONS = 4
+DEFAULT_CELLS = {1: 400, 2: 60, 3: 24, 4: 12}  # along each axis
+DEFAULT_STEPS = 50  # of an episode
+ROUNDING = 1e-6  # rad, by which a full turn may be off
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """Solver: tabular inference on a grid of cells, an action being held for a while.
+
+    Attributes:
+      num_cells: cells along each axis, or 0 for 400, 60, 24 or 12 in 1, 2, 3 or 4 dimensions.
+      hold: steps of the MDP for which an action is held, or 0 for about 50 choices an episode.
+      low: where the grid begins along each axis; () for the bounds, of angles a full turn.
+      high: where it ends. What is beyond counts as the cell at the edge.
+      rule: "centre": the successor is where the centre of the cell is led; "majority": where most
+        of 2^n + 1 of its points are.
+    """
+
+    num_cells: tuple[int, ...] | int = 0
+    hold: int = 0
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    rule: str = "centre"
+
+    name = "discrete"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.num_cells, Iterable):
+            cells = tuple(whole_number(x, "Discrete: num_cells", 1) for x in self.num_cells)
+            object.__setattr__(self, "num_cells", cells)
+        else:
+            whole_number(self.num_cells, "Discrete: num_cells", 0)
+        whole_number(self.hold, "Discrete: hold", 0)
+        for name in ("low", "high"):  # a file may hold them as lists
+            values = getattr(self, name)
+            if not isinstance(values, Iterable) or not all(map(np.isfinite, values)):
+                raise ValueError(
+                    f"Discrete: {name}: expected a finite number for each state, or none for the "
+                    f"bounds of the MDP, got {values!r}"
+                )
+            object.__setattr__(self, name, tuple(float(x) for x in values))
+        if self.rule not in RULES:
+            raise ValueError(f"Discrete: rule: expected one of {RULES}, got {self.rule!r}")
+
+    def learn(
+        self,
+        problem: Problem,
+        *,
+        tasks: Task | None = None,
+        seed: int = 0,
+        progress: bool = False,
+        checkpoint: Path | None = None,
+    ) -> TableNominal:
+        """Return the nominal distribution; it is worked out when a task is asked for.
+
+        Nothing is random and nothing is trained, so only `problem` matters.
+
+        Raises:
+          ValueError: if the state has more than 4 dimensions, or the tables would not fit memory.
+        """
+        self.check(problem)
+        cells = Cells(problem.mdp.space, self._shape(problem), self._limits(problem))
+        hold = self._hold(problem)
+        held = _held(problem, hold)
+        successors = _successors(cells, held, problem, self.rule)
+        centres = jnp.asarray(cells.centres, jnp.float32)
+
+        mdp = problem.mdp
+        ends = jax.jit(jax.vmap(mdp.terminated, (0, None)))
+        anywhere = np.asarray(ends(centres, jnp.zeros(len(mdp.goal_names))))
+
+        def rewards(goal: np.ndarray) -> np.ndarray:
+            target = jnp.asarray(goal, jnp.float32)
+            if hold > 1 and (np.asarray(ends(centres, target)) != anywhere).any():
+                raise ValueError(
+                    f"Discrete: where episodes of {type(mdp).__name__} end depends on the goal, so "
+                    f"an action cannot be held for {hold} steps: set hold=1"
+                )
+            return np.asarray(held(centres, target)[1], float)
+
+        table = States(
+            cells.centres, successors, self._num_steps(problem), cells.number, hold * mdp.dt
+        )
+        return TableNominal(problem, self, table, rewards)
+
+    def check(self, problem: Problem) -> None:
+        """Raise ValueError where `learn` would."""
+        mdp, n = problem.mdp, len(problem.mdp.state_names)
+        if n > MAX_DIMENSIONS:
+            raise ValueError(
+                f"the discrete solver takes at most {MAX_DIMENSIONS} state dimensions, "
+                f"{type(mdp).__name__} has {n} ({', '.join(mdp.state_names)}): "
+                "use solver 'soft-value'"
+            )
+        shape = self._shape(problem)
+        if len(shape) != n:
+            raise ValueError(
+                f"Discrete: num_cells: expected one number for each of the states "
+                f"{', '.join(mdp.state_names)}, got {shape}"
+            )
+        low, high = self._limits(problem)
+        if low.shape != (n,) or high.shape != (n,) or not (low < high).all():
+            raise ValueError(
+                f"Discrete: low, high: expected where the grid begins and ends for each of the "
+                f"states {', '.join(mdp.state_names)}, got {self.low} and {self.high}"
+            )
+        if (high - low > TWO_PI + ROUNDING)[mdp.space.is_angle].any():
+            raise ValueError(
+                f"Discrete: low, high: expected at most a full turn of each angle, got {self.low} "
+                f"and {self.high}"
+            )
+        if self.hold > mdp.num_steps:
+            raise ValueError(
+                f"Discrete: hold: expected at most the {mdp.num_steps} steps of an episode, got "
+                f"{self.hold}"
+            )
+        num_steps = self._num_steps(problem)
+        check_size(math.prod(shape), mdp.num_actions, num_steps, len(problem.hypotheses))
+
+    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TableNominal:
+        """Return the nominal distribution; nothing was stored but the settings."""
+        return self.learn(problem)
+
+    def _shape(self, problem: Problem) -> tuple[int, ...]:
+        n = len(problem.mdp.state_names)
+        if isinstance(self.num_cells, int):
+            return (self.num_cells or DEFAULT_CELLS[n],) * n
+        return self.num_cells
+
+    def _limits(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the grid begins [n] and ends [n]."""
+        space = problem.mdp.space
+        low = np.where(space.is_angle, 0.0, space.bounds[:, 0])
+        high = np.where(space.is_angle, TWO_PI, space.bounds[:, 1])
+        return (np.array(self.low) if self.low else low, np.array(self.high) if self.high else high)
+
+    def _hold(self, problem: Problem) -> int:
+        return self.hold or max(1, round(problem.mdp.num_steps / DEFAULT_STEPS))
+
+    def _num_steps(self, problem: Problem) -> int:
+        """Return how many choices come nearest to an episode of the MDP."""
+        return max(1, round(problem.mdp.num_steps / self._hold(problem)))
+
+
+class Cells:
+    """A regular grid of cells; angles go round where it covers a full turn of them.
+
+    Args:
+      space: names and angles of the states.
+      shape: cells along each axis.
+      limits: where the grid begins [n] and ends [n].
+    """
+
+    def __init__(
+        self, space: StateSpace, shape: tuple[int, ...], limits: tuple[np.ndarray, np.ndarray]
+    ) -> None:
+        self.shape = shape
+        self.low, high = limits
+        self.width = (high - self.low) / np.array(shape)
+        self.goes_round = space.is_angle & (high - self.low > TWO_PI - ROUNDING)
+        self.is_part = space.is_angle & ~self.goes_round
+
+    @property
+    def centres(self) -> np.ndarray:
+        """[S, n] the centres of the cells, the last axis fastest."""
+        index = np.unravel_index(np.arange(math.prod(self.shape)), self.shape)
+        return self.low + (np.stack(index, axis=-1) + 0.5) * self.width
+
+    def number(self, states: np.ndarray) -> np.ndarray:
+        """Return the cell [...] of states [..., n]; beyond the edge, the cell at the edge."""
+        middle = self.low + 0.5 * self.width * np.array(self.shape)
+        nearest = middle + (states - middle + math.pi) % TWO_PI - math.pi
+        states = np.where(self.is_part, nearest, states)
+        index = np.floor((states - self.low) / self.width).astype(np.int64)
+        size = np.array(self.shape)
+        index = np.where(self.goes_round, index % size, np.clip(index, 0, size - 1))
+        return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), self.shape))
+
+
+Held = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+"""Maps states [S, n] and a goal [g] to where actions lead [S, A, n] and what they earn [S, A]."""
+
+
+def _held(problem: Problem, hold: int) -> Held:
+    """Return what holding each action for some steps does; an episode that ends stays."""
+    mdp = problem.mdp
+
+    def hold_action(state: jax.Array, action: jax.Array, goal: jax.Array) -> tuple:
+        def one(carry: tuple, _: None) -> tuple[tuple, None]:
+            state, earned, ended = carry
+            following = mdp.dynamics(state, action)
+            reward = mdp.reward(state, action, following, goal)
+            earned = earned + jnp.where(ended, 0.0, reward)
+            state = jnp.where(ended, state, following)
+            return (state, earned, ended | mdp.terminated(following, goal)), None
+
+        start = (state, jnp.zeros(()), jnp.zeros((), bool))
+        (state, earned, _), _ = jax.lax.scan(one, start, length=hold)
+        return state, earned
+
+    over_actions = jax.vmap(hold_action, (None, 0, None))
+    over_states = jax.vmap(over_actions, (0, None, None))
+    return jax.jit(lambda states, goal: over_states(states, mdp.actions, goal))
+
+
+def _successors(cells: Cells, held: Held, problem: Problem, rule: str) -> np.ndarray:
+    """Return the cell [S, A] that each action leads to."""
+    mdp = problem.mdp
+    goal = jnp.zeros(len(mdp.goal_names))
+    n = len(cells.shape)
+    offsets = [np.zeros(n)]
+    if rule == "majority":
+        offsets += [cells.width / 3.0 * corner for corner in itertools.product((-1, 1), repeat=n)]
+    found = []
+    for offset in offsets:
+        ends = np.asarray(held(jnp.asarray(cells.centres + offset, jnp.float32), goal)[0], float)
+        bad = np.argwhere(~np.isfinite(ends).all(axis=-1))
+        if len(bad):
+            state, action = bad[0]
+            raise ValueError(
+                f"{type(mdp).__name__}.dynamics leads from {cells.centres[state].tolist()} by "
+                f"action {np.asarray(mdp.actions)[action].tolist()} to "
+                f"{ends[state, action].tolist()}: expected finite states everywhere in the bounds"
+            )
+        found.append(cells.number(ends))
+    candidates = np.stack(found)  # [P, S, A]
+    votes = np.zeros(candidates.shape)
+    for candidate in candidates:
+        votes += candidates == candidate
+    votes[0] += 0.5  # the centre's, of several with as many
+    return np.take_along_axis(candidates, votes.argmax(axis=0)[None], axis=0)[0]

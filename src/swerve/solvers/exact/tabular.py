@@ -1,0 +1,314 @@
+"""Tabular maximum likelihood constraint inference (Scobee & Sastry, 2019): exact, no sampling.
+
+`Tabular` reads the tables of a tabular MDP. What it shares with `Discrete`, which makes a table of
+continuous dynamics, is `TableNominal`.
+
+Shapes: S states, A actions, n state dimensions, m action dimensions, T steps, H hypotheses,
+B = ceil(H / 8) bytes, M trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from swerve.base.space import Actions, Task
+from swerve.constraints.base import violates
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.exact import Drawn, ExactAnswer
+from swerve.evidence.samples import NUM_KEPT
+from swerve.hypotheses.base import enters_set, pack_sets, unpack
+from swerve.problem.problem import Problem
+from swerve.problem.tasks import checked_task
+from swerve.solvers.exact.table import Table
+from swerve.systems.tabular import TabularMDP
+
+BLOCK = 1 << 22  # (step, hypothesis) pairs that are carried forward at once
+MEMORY_BYTES = 8 << 30
+SMALLEST = 1e-280  # mass that is carried forward with all its digits
+
+
+@dataclass(frozen=True)
+class Tabular:
+    """Solver: exact dynamic programming on the states of a tabular MDP."""
+
+    name = "tabular"
+
+    def learn(
+        self,
+        problem: Problem,
+        *,
+        tasks: Task | None = None,
+        seed: int = 0,
+        progress: bool = False,
+        checkpoint: Path | None = None,
+    ) -> TableNominal:
+        """Return the nominal distribution; it is worked out when a task is asked for.
+
+        Nothing is random and nothing is trained, so only `problem` matters.
+
+        Raises:
+          ValueError: if the MDP is not tabular, or the tables would not fit memory.
+        """
+        self.check(problem)
+        mdp = problem.mdp
+        assert isinstance(mdp, TabularMDP)
+        return TableNominal(
+            problem,
+            self,
+            States(mdp.states, mdp.successors, mdp.num_steps, mdp.state_index, mdp.dt),
+            lambda goal: mdp.rewards,
+        )
+
+    def check(self, problem: Problem) -> None:
+        """Raise ValueError where `learn` would."""
+        mdp = problem.mdp
+        if not isinstance(mdp, TabularMDP):
+            raise ValueError(
+                f"the tabular solver needs a tabular MDP, such as Gridworld or what "
+                f"swerve.tabular makes, got {type(mdp).__name__}: use solver 'discrete', which "
+                "makes a table of it, or another"
+            )
+        check_size(mdp.num_states, mdp.num_actions, mdp.num_steps, len(problem.hypotheses))
+
+    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TableNominal:
+        """Return the nominal distribution; nothing was stored but the settings."""
+        return self.learn(problem)
+
+
+def check_size(num_states: int, num_actions: int, num_steps: int, num_hypotheses: int) -> None:
+    """Raise ValueError where tables would not fit memory."""
+    values = 8 * num_states * (num_steps + 1)
+    steps = num_states * num_actions
+    bits = steps * ((num_hypotheses + 7) // 8) + 100 * steps
+    if values + bits > MEMORY_BYTES:
+        raise ValueError(
+            f"{num_states:,} states, {num_actions} actions, {num_steps} steps and "
+            f"{num_hypotheses:,} hypotheses need {(values + bits) / 2**30:.1f} GiB, more than "
+            f"{MEMORY_BYTES / 2**30:.0f} GiB: take fewer of one of them"
+        )
+
+
+class States(NamedTuple):
+    """The states of a table.
+
+    Attributes:
+      states: [S, n] where they lie.
+      successors: [S, A] the state that each action leads to, negative where it is not offered.
+      num_steps: T.
+      number: maps states [..., n] to the number of the nearest [...].
+      step: seconds that an action lasts.
+    """
+
+    states: np.ndarray
+    successors: np.ndarray
+    num_steps: int
+    number: Callable[[Any], Any]
+    step: float
+
+
+@dataclass(frozen=True, eq=False)
+class TableNominal:
+    """pi_0 on a table of states, exactly.
+
+    Attributes:
+      problem: what it is for; its hypotheses and known constraints are judged at the states of the
+        table, and on the straight lines between them if the problem says so.
+      solver: how the table was made.
+      table: the states.
+      rewards: maps a goal [g] to the rewards [S, A] of all steps.
+    """
+
+    problem: Problem
+    solver: Any
+    table: States
+    rewards: Callable[[np.ndarray], np.ndarray]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return nothing: all is worked out from the problem."""
+        return {}
+
+    def answer(
+        self,
+        task: Task,
+        generator: np.random.Generator,
+        advance: Callable[[float], None] = lambda share: None,
+        avoiding: Sequence[int] = (),
+    ) -> ExactAnswer:
+        """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories drawn from pi_0.
+
+        With hypotheses to be avoided it is log Z_C, P(avoid c | avoid C) and draws from pi_C.
+        """
+        start, goal_table = self.start(task), self.goal_table(task.goal, avoiding)
+        log_partition = float(goal_table.values[0, start])
+        num_hypotheses = len(self.problem.hypotheses)
+        avoid = np.full(num_hypotheses, np.nan)
+        block = max(8, BLOCK // self.bits.shape[0] // 8 * 8)
+        for first in range(0, num_hypotheses if np.isfinite(log_partition) else 0, block):
+            some = slice(first, min(first + block, num_hypotheses))
+            share = (some.stop - some.start) / num_hypotheses
+            enters = unpack(self.bits[:, first // 8 : -(-some.stop // 8)], some.stop - some.start)
+            avoid[some] = goal_table.avoid_probability(
+                start, enters, lambda part, share=share: advance(share * part)
+            )
+        drawn = self._draw(task, start, goal_table, generator)
+        log_ratio = self._log_ratio(task, avoid, log_partition, avoiding)
+        return ExactAnswer(log_partition, log_ratio, drawn, self.table.step)
+
+    def _log_ratio(
+        self, task: Task, avoid: np.ndarray, log_partition: float, avoiding: Sequence[int]
+    ) -> np.ndarray:
+        """Return log Z_c / Z_0 [H]; those that are no number are worked out with c in force."""
+        tiny = np.flatnonzero(avoid < SMALLEST)
+        log_ratio = np.log(np.clip(avoid, SMALLEST, 1.0))
+        sets = [(*avoiding, int(index)) for index in tiny]
+        log_ratio[tiny] = self._log_partitions(task, sets) - log_partition
+        return log_ratio
+
+    def log_partition(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
+        """Return log Z_C for each set C of hypotheses: of what avoids all of them, nats.
+
+        Args:
+          task: start [n] and goal [g].
+          avoiding: sets of hypotheses, by index; an empty one gives log Z_0.
+
+        Raises:
+          ValueError: if the task or an index does not fit the problem.
+        """
+        pack_sets(avoiding, len(self.problem.hypotheses))  # refuses what is no such list
+        return self._log_partitions(checked_task(self.problem, task), avoiding)
+
+    def _log_partitions(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
+        start = self.start(task)
+        return np.array([self.goal_table(task.goal, c).values[0, start] for c in avoiding])
+
+    def start(self, task: Task) -> int:
+        """Return the number of the state where a task starts."""
+        return int(self.table.number(np.asarray(task.start, float)))
+
+    def snapped(self, demonstration: Demonstration) -> Demonstration:
+        """Return a demonstration moved to the states of the table, its start too, each told once.
+
+        Of its actions and times those are kept with which it goes on to another state.
+        """
+        number = self.table.number(demonstration.states)
+        leaves = np.flatnonzero(np.diff(number))
+        kept = np.append(leaves, len(number) - 1)
+        if not len(leaves):  # it never leaves one; two states are the least
+            leaves, kept = np.zeros(1, int), np.array([0, len(number) - 1])
+        states = self.table.states[number[kept]]
+        return Demonstration(
+            demonstration.name,
+            states,
+            Task(states[0], demonstration.task.goal),
+            None if demonstration.times is None else demonstration.times[kept],
+            None if demonstration.actions is None else demonstration.actions[leaves],
+        )
+
+    def goal_table(self, goal: np.ndarray, avoiding: Sequence[int] = ()) -> Table:
+        """Return the table of one goal, in nats, without steps that enter known constraints.
+
+        Nor has it steps that enter one of the hypotheses to be avoided.
+        """
+        [members] = pack_sets([avoiding], len(self.problem.hypotheses))
+        allowed = self.allowed & ~enters_set(self.bits, members).reshape(self.allowed.shape)
+        problem, beta = self.problem, self.problem.beta
+        offset = -np.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
+        terminal, ended = self.ends(goal)
+        rewards = self.rewards(goal)
+        self._check_rewards("reward", np.where(allowed, rewards, 0.0))
+        self._check_rewards("terminal_reward", terminal)
+        return Table(
+            successors=np.maximum(self.table.successors, 0),
+            reward=np.where(allowed, _scaled(rewards, beta) + offset, -np.inf),
+            terminal=_scaled(terminal, beta),
+            ended=ended,
+            num_steps=self.table.num_steps,
+        )
+
+    def _check_rewards(self, method: str, values: np.ndarray) -> None:
+        """Raise ValueError where a reward [S, ...] is NaN or +inf."""
+        wrong = np.argwhere(np.isnan(values) | np.isposinf(values))
+        if len(wrong):
+            state = self.table.states[wrong[0][0]].tolist()
+            raise ValueError(
+                f"{type(self.problem.mdp).__name__}.{method} is {values[tuple(wrong[0])]} in state "
+                f"{state}: expected a number, or -inf for what is not allowed"
+            )
+
+    def ends(self, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return r_T [S] and whether episodes end [S] at each state."""
+        terminal, ended = self._at_states(jnp.asarray(goal, jnp.float32))
+        return np.asarray(terminal, float), np.asarray(ended)
+
+    @cached_property
+    def _at_states(self) -> Callable[[jax.Array], tuple[jax.Array, jax.Array]]:
+        """Maps a goal [g] to r_T [S] and `terminated` [S] at the states."""
+        mdp, states = self.problem.mdp, jnp.asarray(self.table.states, jnp.float32)
+
+        @jax.jit
+        def at_states(goal: jax.Array) -> tuple[jax.Array, jax.Array]:
+            terminal = jax.vmap(mdp.terminal_reward, (0, None))(states, goal)
+            return terminal, jax.vmap(mdp.terminated, (0, None))(states, goal)
+
+        return at_states
+
+    @cached_property
+    def steps(self) -> tuple[np.ndarray, Actions]:
+        """[S * A, 2, n] all steps, and their actions [S * A, 1, m]."""
+        problem, states = self.problem, self.table.states
+        num_actions = problem.mdp.num_actions
+        ends = states[np.maximum(self.table.successors, 0)]
+        starts = np.broadcast_to(states[:, None], ends.shape)
+        steps = np.stack([starts, ends], axis=2).reshape(-1, 2, states.shape[1])
+        actions = np.tile(np.asarray(problem.mdp.actions, float), (len(states), 1))
+        assert len(actions) == len(states) * num_actions
+        return steps, Actions(tuple(problem.mdp.action_names), actions[:, None])
+
+    @cached_property
+    def bits(self) -> np.ndarray:
+        """[S * A, B] packed bits of the hypotheses that a step enters."""
+        problem, (steps, actions) = self.problem, self.steps
+        return problem.hypotheses.violations(
+            steps, problem.mdp.space, problem.between_states, actions
+        )
+
+    @cached_property
+    def allowed(self) -> np.ndarray:
+        """[S, A] whether an action is offered and enters no known constraint."""
+        problem, (steps, actions) = self.problem, self.steps
+        allowed = self.table.successors.ravel() >= 0
+        for constraint in problem.known:
+            allowed &= ~violates(
+                constraint, steps, problem.mdp.space, problem.between_states, actions
+            )
+        return allowed.reshape(self.table.successors.shape)
+
+    def _draw(
+        self, task: Task, start: int, goal_table: Table, generator: np.random.Generator
+    ) -> Drawn:
+        """Draw trajectories from pi_0; none where nothing is allowed."""
+        num = NUM_KEPT if np.isfinite(goal_table.values[0, start]) else 0
+        states, actions, length = goal_table.draw(start, num, generator)
+        rewards, (terminal, _) = self.rewards(task.goal), self.ends(task.goal)
+        taken = np.arange(goal_table.num_steps) < length[:, None]
+        bits = self.bits.reshape(*goal_table.reward.shape, -1)[states[:, :-1], actions]
+        return Drawn(
+            states=self.table.states[states],
+            total_reward=np.where(taken, rewards[states[:, :-1], actions], 0.0).sum(axis=1)
+            + terminal[states[:, -1]],
+            length=length,
+            violations=np.bitwise_or.reduce(np.where(taken[..., None], bits, 0), axis=1),
+        )
+
+
+def _scaled(rewards: np.ndarray, beta: float) -> np.ndarray:
+    """Return rewards in nats; -inf stays, whatever beta."""
+    return np.where(np.isneginf(rewards), -np.inf, beta * np.where(np.isinf(rewards), 0.0, rewards))

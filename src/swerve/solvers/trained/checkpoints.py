@@ -1,0 +1,71 @@
+"""Checkpoints: files that a solver which trains writes as it goes, and resumes from."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swerve.base import store
+from swerve.problem.problem import Problem
+
+VERSION = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The file of one run, or none: then nothing is written and nothing found.
+
+    Attributes:
+      path: of the file, or None.
+      problem: that is learned.
+      settings: of the solver.
+      seed: of the run.
+      teacher: fingerprint of what the run imitates; empty where it imitates nothing.
+    """
+
+    path: Path | None
+    problem: Problem
+    settings: Any
+    seed: int
+    teacher: str = ""
+
+    def save(self, arrays: dict[str, np.ndarray]) -> None:
+        """Write the arrays, atomically."""
+        if self.path is not None:
+            store.write(self.path, self._kind, VERSION, self._header, arrays)
+
+    def load(self) -> dict[str, np.ndarray] | None:
+        """Return the arrays written last, or None where there is no file.
+
+        Raises:
+          ValueError: if they are those of another run.
+          store.StoreError: if the file is cut short, altered, or of another kind or version.
+        """
+        if self.path is None or not self.path.exists():
+            return None
+        stored = store.open_file(self.path, self._kind, VERSION)
+        for key, value in self._header.items():
+            if stored.header[key] != value:
+                raise ValueError(
+                    f"{self.path} is a checkpoint of another run: its {key} is "
+                    f"{stored.header[key]}, this run's is {value}. Give that run's {key}, or "
+                    "remove the file to start anew"
+                )
+        return {name: stored.array(name) for name in stored.names}
+
+    @property
+    def _kind(self) -> str:
+        return f"swerve-{self.settings.name}-checkpoint"
+
+    @property
+    def _header(self) -> dict[str, Any]:
+        return {
+            "problem": self.problem.record.fingerprint,
+            "settings": dataclasses.asdict(self.settings),
+            "seed": self.seed,
+            "teacher": self.teacher,
+        }

@@ -1,0 +1,93 @@
+"""Numbers that are not finite, traced to what an MDP returned.
+
+Rewards may be -inf, which forbids; NaN and +inf are nobody's reward.
+
+Shapes: L steps of a segment, N lanes, M = L N states, A actions, n states, g goal dimensions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from swerve.problem.problem import Problem
+from swerve.simulation.trajectory import enters
+from swerve.solvers.trained.lanes import Lanes
+
+DRAWN = "sample_state or sample_task"
+ASKED: tuple[str, ...] = (DRAWN, "features", "dynamics", "reward", "terminal_reward")
+
+
+def check_steps(problem: Problem, visited: Lanes) -> None:
+    """Check what an MDP returns for every action in states that were visited.
+
+    Args:
+      problem: whose MDP is asked.
+      visited: states [L, n, N], steps [L, N] and goals [L, g, N], in the order of time.
+
+    Raises:
+      ValueError: naming the first method, step, state, goal and action without a finite number.
+    """
+    # [M, ...], the earliest first: what follows from a NaN is not to blame for it
+    lanes = Lanes(*(jnp.moveaxis(x, -1, 1).reshape(-1, *x.shape[1:-1]) for x in visited))
+    answers = dict(zip(ASKED, map(np.asarray, _ask(problem, lanes)), strict=True))
+    bad = {name: _is_bad(name, x) for name, x in answers.items()}
+    rows = {name: x.reshape(len(x), -1).any(axis=1) for name, x in bad.items()}
+    found = {name: int(x.argmax()) for name, x in rows.items() if x.any()}
+    if not found:
+        return
+    name = min(found, key=lambda name: found[name])  # of several in one state the first asked
+    row = found[name]
+    value = answers[name][row]
+    where = f"at step {int(lanes.step[row])}"
+    if name != DRAWN:
+        where += f" from state {_numbers(lanes.state[row])} with goal {_numbers(lanes.goal[row])}"
+    if name not in (DRAWN, "features"):
+        action = int(np.argwhere(bad[name][row])[0, 0])
+        value = value[action]
+        where += f" with action {action}, {_numbers(problem.mdp.actions[action])}"
+    raise ValueError(
+        f"{type(problem.mdp).__name__}.{name} returned {_numbers(value)} {where}: expected finite "
+        "numbers"
+    )
+
+
+def _ask(problem: Problem, lanes: Lanes) -> tuple[Array, ...]:
+    """Return what ASKED return: two [M, ...] for the states and three [M, A, ...] for actions.
+
+    Rewards are 0 where a known constraint is entered: whatever they are, nobody is paid them.
+    """
+    mdp = problem.mdp
+
+    def act(lane: Lanes, action: Array) -> tuple[Array, Array, Array]:
+        following = mdp.dynamics(lane.state, action)
+        hit = enters(problem.known, lane.state, following, mdp, problem.between_states, action)
+        reward = jnp.where(hit, 0.0, mdp.reward(lane.state, action, following, lane.goal))
+        return following, reward, jnp.where(hit, 0.0, mdp.terminal_reward(following, lane.goal))
+
+    @jax.jit
+    @jax.vmap
+    def ask(lane: Lanes) -> tuple[Array, ...]:
+        drawn = jnp.concatenate([lane.state, lane.goal])
+        actions = jnp.asarray(mdp.actions)
+        return drawn, mdp.features(*lane), *jax.vmap(act, (None, 0))(lane, actions)
+
+    return ask(lanes)
+
+
+def _is_bad(name: str, value: np.ndarray) -> np.ndarray:
+    """Return where an answer is none."""
+    forbids = np.isneginf(value) & name.endswith("reward")
+    return ~(np.isfinite(value) | forbids)
+
+
+def _numbers(value: Any) -> str:
+    """Return a number, or several in brackets."""
+    value = np.asarray(value)
+    if not value.ndim:
+        return f"{value:.6g}"
+    return f"[{', '.join(f'{x:.6g}' for x in value)}]"

@@ -1,0 +1,119 @@
+"""Segments of episodes from which networks learn: rollouts in all lanes, and minibatches.
+
+A lane goes on from where it was until its episode ends. Where that is asked for, lanes that explore
+start anew, anywhere at any time, with every segment.
+
+Shapes: N lanes, L steps of a segment, G minibatches, A actions. The batch is the last axis of every
+array.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from swerve.problem.problem import Problem
+from swerve.simulation.trajectory import draw_action, take_step
+from swerve.solvers.trained.lanes import Lanes, fresh_lanes, over_lanes
+
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, modulo 1, spread evenly over any part of them
+
+
+class Sizes(Protocol):
+    """The settings that a segment depends on."""
+
+    @property
+    def num_lanes(self) -> int:
+        """N."""
+        ...
+
+    @property
+    def segment(self) -> int:
+        """L."""
+        ...
+
+    @property
+    def explore(self) -> float:
+        """Share of the lanes that start anywhere at any time."""
+        ...
+
+
+class Segment(NamedTuple):
+    """What a rollout leaves, all [L, ..., N].
+
+    Attributes:
+      seen: what `look` wants to keep of each step.
+      action: index of the one executed.
+      log_probability: of it, nats.
+      reward: r(s, a, s') and r_T; -inf on entering a known constraint.
+      ended: whether the episode ended with this step.
+      lanes: where they were.
+    """
+
+    seen: Any
+    action: Array
+    log_probability: Array
+    reward: Array
+    ended: Array
+    lanes: Lanes
+
+
+def roll_segment(
+    problem: Problem,
+    sizes: Sizes,
+    look: Callable[[Lanes, Array], tuple[Array, Any]],
+    lanes: Lanes,
+    key: Key[Array, ""],
+    *,
+    restart: bool,
+) -> tuple[Lanes, Segment]:
+    """Roll out one segment in all lanes; one whose episode ends goes on with a fresh one.
+
+    Args:
+      problem: the MDP and known constraints.
+      sizes: how many lanes, of which how many explore, and how many steps.
+      look: gives for one lane log pi of every action, and what to keep. Its second argument is a
+        number from 0 to 1 that stays with the lane; those of all lanes are spread evenly.
+      lanes: where they are.
+      key: source of randomness.
+      restart: whether lanes that explore start anew.
+
+    Returns:
+      Where the lanes are then, and the segment.
+    """
+    key_fresh, key_actions = jax.random.split(key)
+    num_lanes = sizes.num_lanes
+    fresh = jax.vmap(lambda key: fresh_lanes(problem, key, num_lanes, sizes.explore))(
+        jax.random.split(key_fresh, sizes.segment)
+    )
+    uniforms = jax.random.uniform(key_actions, (sizes.segment, num_lanes))
+    explores = (jnp.arange(num_lanes) < sizes.explore * num_lanes) & restart
+    lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
+
+    place = (jnp.arange(num_lanes) * GOLDEN) % 1.0
+
+    def advance(lanes: Lanes, fresh: Lanes, uniform: Array, place: Array) -> tuple[Lanes, Segment]:
+        log_probabilities, seen = look(lanes, place)
+        action, log_probability = draw_action(log_probabilities, uniform)
+        taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
+        moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
+        following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
+        return following, Segment(seen, action, log_probability, taken.reward, taken.ended, lanes)
+
+    return jax.lax.scan(
+        lambda lanes, x: over_lanes(advance, -1, -1, -1, -1)(lanes, *x, place),
+        lanes,
+        (fresh, uniforms),
+    )
+
+
+def minibatches(column: Array, num_minibatches: int) -> Array:
+    """Return a segment's [L, ..., N] as [G, ..., L N / G], steps of a batch far apart."""
+    column = column.reshape(-1, num_minibatches, *column.shape[1:])
+    column = jnp.moveaxis(column, 0, -2)
+    return column.reshape(*column.shape[:-2], -1)

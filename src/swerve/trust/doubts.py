@@ -1,0 +1,260 @@
+"""What speaks against trusting an inference, in plain words.
+
+A demonstration is held against nominal trajectories of its task, which it need not resemble but
+whose order of magnitude it shares: where they end, how long they last, how fast a state changes.
+
+Shapes: n state dimensions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swerve.constraints.base import violates
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.presentation import sentences as wording
+from swerve.trust import verdicts as trust
+from swerve.trust.verdicts import some_names
+
+if TYPE_CHECKING:
+    from swerve.inference.ranking import Inference
+
+FAR_END = 0.05  # of the extent: within it of its goal a demonstration has arrived
+FACTOR = 2.0  # beyond nominal trajectories in where it ends
+FAST = 3.0  # times the fastest nominal change of a state
+JITTER = 0.01  # of the extent: two measurements of one state may differ by so much
+FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single steps fast
+TIME_SLACK = 0.1  # of the duration
+COARSE = 1.5  # of the model's steps, between two states of a demonstration
+TABLED = "Discrete("  # the solver that makes a table of continuous dynamics
+
+
+def warnings(inference: Inference) -> tuple[str, ...]:
+    """Return what speaks against trusting the ranking; empty if nothing does."""
+    return (
+        *_exhausted(inference),
+        *_left_out(inference),
+        *_impossible(inference),
+        *_of_samples(inference),
+        *(() if inference.evidence.is_exact else trust.hardly_avoided(inference)),
+        *_grazed(inference),
+        *_doubts(inference),
+    )
+
+
+def data_warnings(inference: Inference) -> tuple[str, ...]:
+    """Return what speaks against samples and demonstrations, whatever they are used for."""
+    return (*_of_samples(inference), *_doubts(inference))
+
+
+def _of_samples(inference: Inference) -> Iterator[str]:
+    is_exact = inference.evidence.is_exact
+    return _tabled(inference) if is_exact else trust.warnings(inference)
+
+
+def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
+    """Return what is odd about a demonstration next to nominal trajectories, by kind."""
+    is_known = evidence.is_exact or not evidence.has_too_few[task]
+    found = {
+        "end": _odd_end(demonstration, evidence, task) if is_known else "",
+        "duration": _odd_duration(demonstration, evidence, task),
+        "speed": _odd_speed(demonstration, evidence, task) or _jump(demonstration, evidence, task),
+        "rate": _coarse(demonstration, evidence),
+    }
+    return {kind: text for kind, text in found.items() if text}
+
+
+def _odd_end(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    problem, space, end = evidence.problem, evidence.problem.space, demonstration.states[-1]
+    is_state = problem.goal_names == space.names
+    if is_state and space.relative_distance(end, evidence.tasks.goal[task]) <= FAR_END:
+        return ""
+    middle, reach = evidence.summary.end[task], evidence.summary.end_reach[task]
+    away = space.difference(middle, end)
+    beyond = np.abs(away) - np.maximum(reach + FAR_END * space.extent, FACTOR * reach)
+    worst = int((beyond / space.extent).argmax())
+    if beyond[worst] <= 0.0:
+        return ""
+    low, high = middle[worst] - reach[worst], middle[worst] + reach[worst]
+    return (
+        f"ends at {space.names[worst]} = {middle[worst] + away[worst]:.3g}, where nominal "
+        f"trajectories end between {low:.3g} and {high:.3g}: cut short, another unit, or the goal "
+        "of another task?"
+    )
+
+
+def _odd_duration(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    if demonstration.times is None:
+        return ""
+    duration = float(demonstration.times[-1] - demonstration.times[0])
+    longest = evidence.problem.num_steps * evidence.problem.dt
+    shortest = float(evidence.summary.shortest[task])
+    if duration > (1.0 + TIME_SLACK) * longest:
+        return (
+            f"lasts {duration:.4g} s, and the model's episodes at most {longest:.4g} s: another "
+            "unit of t, or a horizon that is too short?"
+        )
+    if duration < (1.0 - TIME_SLACK) * shortest:
+        return (
+            f"lasts {duration:.4g} s, and nominal trajectories at least {shortest:.4g} s: cut "
+            "short, or another unit of t?"
+        )
+    return ""
+
+
+def _steps(demonstration: Demonstration, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far each state changes [L-1, n] from row to row, and in what time [L-1] s."""
+    problem, states, times = evidence.problem, demonstration.states, demonstration.times
+    if times is None:  # as if it lasted as long as the model's episodes
+        times = np.linspace(0.0, problem.num_steps * problem.dt, len(states))
+    return np.abs(problem.space.difference(states[:-1], states[1:])), np.diff(times)
+
+
+def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    problem = evidence.problem
+    horizon = problem.num_steps * problem.dt
+    moved, elapsed = _steps(demonstration, evidence)
+    # sorted by hand: np.quantile loads another 30 ms of NumPy
+    speed = np.sort(moved / elapsed[:, None], axis=0)[int(FAST_SHARE * (len(moved) - 1))]
+    nominal = np.maximum(evidence.summary.fastest[task], 1e-6 * problem.space.extent / horizon)
+    worst = int((speed / nominal).argmax())
+    if speed[worst] <= FAST * nominal[worst]:
+        return ""
+    return (
+        f"changes {problem.space.names[worst]} by {speed[worst]:.3g} a second, "
+        f"{speed[worst] / nominal[worst]:.0f} times as fast as any nominal trajectory: another "
+        "unit, such as degrees, or another t?"
+    )
+
+
+def _jump(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    space, fastest = evidence.problem.space, evidence.summary.fastest[task]
+    moved, elapsed = _steps(demonstration, evidence)
+    beyond = moved - FAST * fastest * elapsed[:, None] - JITTER * space.extent
+    if not (beyond > 0.0).any():
+        return ""
+    row, column = np.unravel_index(int((beyond / space.extent).argmax()), beyond.shape)
+    return (
+        f"jumps by {moved[row, column]:.3g} in {space.names[column]} from row {row + 1} to row "
+        f"{row + 2}, in {elapsed[row]:.3g} s, where no nominal trajectory changes it faster than "
+        f"by {fastest[column]:.3g} a second: a glitch of the recording? What lies on the line "
+        "between counts as entered"
+    )
+
+
+def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
+    problem, times = evidence.problem, demonstration.times
+    if times is None or not problem.between_states:
+        return ""
+    widest = float(np.diff(times).max())
+    if widest <= COARSE * problem.dt:
+        return ""
+    return (
+        f"has states up to {widest:.3g} s apart, where the model steps every {problem.dt:.3g} s: "
+        "the straight lines between them may cut through what was avoided, and strike it out"
+    )
+
+
+def _doubts(inference: Inference) -> Iterator[str]:
+    """Yield each kind of doubt once, with the demonstrations that it is about."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for demonstration, task in zip(inference.demonstrations, inference.task_of, strict=True):
+        for kind, text in doubts(demonstration, inference.evidence, int(task)).items():
+            found.setdefault(kind, []).append((demonstration.name, text))
+    yield from _again(inference)
+    for cases in found.values():
+        name, text = cases[0]
+        others = [other for other, _ in cases[1:]]
+        also = f" (so it is with {some_names(others)})" if others else ""
+        yield f"{name} {text}{also}"
+
+
+def _again(inference: Inference) -> Iterator[str]:
+    """Yield which demonstrations are there more than once."""
+    found: dict[tuple[bytes, ...], list[str]] = {}
+    for item in inference.demonstrations:
+        parts = (item.states, item.task.start, item.task.goal)
+        found.setdefault(tuple(part.tobytes() for part in parts), []).append(item.name)
+    for names in found.values():
+        if len(names) > 1:
+            yield (
+                f"{names[0]} is there {len(names)} times (as {some_names(names)}): each counts as "
+                "evidence of its own"
+            )
+
+
+def _grazed(inference: Inference) -> Iterator[str]:
+    """Yield that a margin speaks for the hypothesis that comes first."""
+    problem = inference.evidence.problem
+    if inference.judged is problem.hypotheses or not len(inference.ranking):
+        return
+    best = int(inference.ranking[0])
+    constraint = problem.hypotheses.constraint(best)
+    grazing = [
+        item.name
+        for d, item in enumerate(inference.demonstrations)
+        if inference.is_counted[inference.task_of[d], best]
+        and not inference.entered[d, best]
+        and violates(constraint, item.states, problem.space, problem.between_states)
+    ]
+    if grazing:
+        yield (
+            f"{len(grazing)} of {len(inference.demonstrations)} demonstrations "
+            f"({some_names(grazing)}) enter hypothesis {best} no deeper than the margin, which "
+            "counts as avoiding it, while nominal trajectories are judged without a margin: it "
+            "seems more probable than it is. Take a margin as small as the noise"
+        )
+
+
+def _exhausted(inference: Inference) -> Iterator[str]:
+    if not len(inference.ranking) and inference.demonstrations:
+        entered = inference.entered.sum(axis=1)
+        yield (
+            f"no hypothesis is left: each of the {len(inference.struck_out)} is entered by at "
+            f"least one demonstration ({inference.demonstrations[int(entered.argmax())].name} "
+            f"alone enters {entered.max()}). There is no constraint, or it is not among the "
+            "hypotheses, or the demonstrations are not of this problem"
+            f"{wording.tolerable(inference)}"
+        )
+
+
+def _left_out(inference: Inference) -> Iterator[str]:
+    """Yield of which hypotheses no demonstration tells, for being too near the ends of tasks."""
+    num = np.count_nonzero(~inference.is_used.any(axis=0))
+    if num:
+        yield (
+            f"of {num} of the {len(inference.struck_out)} hypotheses these demonstrations tell "
+            "nothing, since each task starts or ends within the clearance of them, or grazes them: "
+            "they stay as probable as they were"
+        )
+
+
+def _impossible(inference: Inference) -> Iterator[str]:
+    """Yield which hypotheses forbid everything."""
+    found = np.flatnonzero(inference.impossible & ~inference.entered.any(axis=0))
+    if len(found):
+        names = some_names([f"hypothesis {index}" for index in found])
+        yield (
+            f"{names} struck out: by {inference.evidence.solver} every trajectory of a task "
+            f"enters, so nobody could do that task and obey{_or_coarse(inference)}"
+        )
+
+
+def _or_coarse(inference: Inference) -> str:
+    """Return what else it may be where cells are judged at their centres."""
+    if not inference.evidence.solver.startswith(TABLED):
+        return ""
+    return "; or it starts near an edge, and cells are too wide: give it more num_cells"
+
+
+def _tabled(inference: Inference) -> Iterator[str]:
+    """Yield that a table of continuous dynamics is not the dynamics."""
+    if inference.evidence.solver.startswith(TABLED):
+        yield (
+            "answers are exact for a table of cells, not for the dynamics: how far off they are is "
+            "not known. See whether they change with num_cells and hold"
+        )
