@@ -143,7 +143,8 @@ def lateness(seconds: float) -> np.ndarray:
         foresight.save(Path(folder) / "a.foresight")
         code = (
             "import sys; from pathlib import Path; from swerve.evidence.evidence import Evidence\n"
-            "from swerve.monitoring.foresight import Foresight; from swerve.base.space import Task\n"
+            "from swerve.monitoring.foresight import Foresight\n"
+            "from swerve.base.space import Task\n"
             "from swerve.cli.watch import Watch, watch\n"
             f"evidence = Evidence.load({str(Path(folder) / 'a.evidence')!r})\n"
             f"found = Foresight.load({str(Path(folder) / 'a.foresight')!r}, evidence.problem)\n"

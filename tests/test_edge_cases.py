@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from constraints.test_constraints import meets_exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import Cart
@@ -22,7 +23,6 @@ from synthetic import (
     make_evidence,
     make_record,
 )
-from test_constraints import meets_exactly
 
 from swerve import Box, Problem, Task, grid, hoeffding_error, infer
 from swerve.base.space import TWO_PI, StateSpace

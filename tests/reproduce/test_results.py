@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 REFRESH = runpy.run_path(str(ROOT / "experiments" / "refresh.py"))
 NAMES = re.compile(r"figures? \d( and \d)?|\b(19|20)\d\d\b|\bC[12]\b|2 x 14|10 x 10|95 %|-D\b")
 

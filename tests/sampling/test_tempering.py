@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
-from test_smc import OF_ISLANDS, WALL, Guessed, assert_within_errors
-from test_trust import Fixed
+from sampling.test_smc import OF_ISLANDS, WALL, Guessed, assert_within_errors
+from trust.test_verdicts import Fixed
 
 from swerve import Box, Problem, infer, learn, sample
 from swerve.evidence.estimators import LOW_ESS

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from swerve import PPO, SoftValue
 from swerve.solvers.trained.run import Progress
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 COLUMNS = ["seconds", "steps", "median_kl", "worst_kl", "median_error", "worst_error"]
 
 

@@ -33,7 +33,7 @@ from swerve.sampling.sample import sample
 from swerve.solvers.exact.tabular import Tabular
 from swerve.systems.gridworld import MOVES, Gridworld
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 WORLD = {
     "width": 4,

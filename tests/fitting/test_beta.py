@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from reference import CART_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
 from routes import TASK, LatticeRoutes, Routes, routes
-from test_smc import PROBLEMS, Guessed
+from sampling.test_smc import PROBLEMS, Guessed
 
 from swerve import (
     BetaFit,

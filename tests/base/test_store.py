@@ -148,7 +148,8 @@ def test_other_tools_read_the_file(path: Path) -> None:
 
 def test_importing_loads_neither_jax_nor_polars_nor_zipfile() -> None:
     code = (
-        "import sys; before = set(sys.modules); import swerve.base.store, swerve.demonstrations.demonstration;"
+        "import sys; before = set(sys.modules);"
+        "import swerve.base.store, swerve.demonstrations.demonstration;"
         "new = {name.split('.')[0] for name in set(sys.modules) - before};"
         "assert not new & {'jax', 'polars', 'zipfile', 'tempfile', 'hashlib'}, new;"
         "swerve = {name for name in sys.modules if name.startswith('swerve.')};"
