@@ -11,8 +11,8 @@ from pathlib import Path
 
 import jax
 import pytest
-from command import CONSTRAINT, ROBOT, Run
 from hypothesis import settings
+from support.command import CONSTRAINT, ROBOT, Run
 
 from swerve.cli import app
 from swerve.cli import demonstrate as demonstrate_command

@@ -11,8 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, Cart, enumerate_exactly, short_cart, short_pendulum
-from routes import (
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    Cart,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
+from support.routes import (
     ABOVE,
     BELOW,
     HEIGHT,

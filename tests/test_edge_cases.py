@@ -15,8 +15,8 @@ import pytest
 from constraints.test_constraints import meets_exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference import Cart
-from synthetic import (
+from support.reference import Cart
+from support.synthetic import (
     TASKS,
     evidence_of_columns,
     make_demonstration,

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference import CART_TASK, short_cart
-from synthetic import make_evidence
+from support.reference import CART_TASK, short_cart
+from support.synthetic import make_evidence
 
 import swerve
 from swerve.base.arguments import whole_number

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import CONSTRAINT, ROBOT, SOLVER, Run, infer
+from support.command import CONSTRAINT, ROBOT, SOLVER, Run, infer
 
 import swerve
 from swerve.base import store

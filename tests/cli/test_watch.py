@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import SOLVER, Run
 from monitoring.test_monitor import Known
-from synthetic import TASKS, make_evidence
+from support.command import SOLVER, Run
+from support.synthetic import TASKS, make_evidence
 
 from swerve import Evidence, Task
 from swerve.cli.watch import Watch, watch

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic import SPACE
+from support.synthetic import SPACE
 
 import swerve
 from swerve import ActionBox, Ball, Box, HalfSpace, Polygon, StateAction, Union

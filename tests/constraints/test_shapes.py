@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from reference import PENDULUM_TASK, enumerate_exactly, short_pendulum
+from support.reference import PENDULUM_TASK, enumerate_exactly, short_pendulum
 
 from swerve import Ball, Box, Enumeration, HalfSpace, Polygon, Problem, Union, learn, sample
 from swerve.base.space import TWO_PI, StateSpace

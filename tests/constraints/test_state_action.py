@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import CART_TASK, Cart, enumerate_exactly
+from support.reference import CART_TASK, Cart, enumerate_exactly
 
 from swerve import (
     ActionBox,

@@ -7,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from reference import CART_TASK, enumerate_exactly, short_cart
+from support.reference import CART_TASK, enumerate_exactly, short_cart
 
 from swerve import (
     Box,

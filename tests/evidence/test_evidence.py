@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import SPACE, TASKS, evidence_of_columns, make_evidence, make_record, make_samples
+from support.synthetic import (
+    SPACE,
+    TASKS,
+    evidence_of_columns,
+    make_evidence,
+    make_record,
+    make_samples,
+)
 
 from swerve.base.space import TWO_PI, StateSpace, Task
 from swerve.base.store import StoreError, open_file

@@ -9,9 +9,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from reference import CART_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
-from routes import TASK, LatticeRoutes, Routes, routes
 from sampling.test_smc import PROBLEMS, Guessed
+from support.reference import CART_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
+from support.routes import TASK, LatticeRoutes, Routes, routes
 
 from swerve import (
     BetaFit,

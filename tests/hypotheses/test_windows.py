@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import SPACE
+from support.synthetic import SPACE
 
 from swerve import Box, windows
 from swerve.base.space import TWO_PI

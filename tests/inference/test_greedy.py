@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from synthetic import (
+from support.synthetic import (
     SPACE,
     TASKS,
     evidence_of_columns,

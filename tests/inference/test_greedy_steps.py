@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from reference import CART_TASK, short_cart
-from synthetic import evidence_of_columns, make_demonstration
+from support.reference import CART_TASK, short_cart
+from support.synthetic import evidence_of_columns, make_demonstration
 
 from swerve import (
     Box,

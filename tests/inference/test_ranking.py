@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import (
+from support.synthetic import (
     TASKS,
     evidence_of_columns,
     make_demonstration,

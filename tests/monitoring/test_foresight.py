@@ -4,8 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, Cart, enumerate_exactly, short_cart, short_pendulum
-from synthetic import make_evidence
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    Cart,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
+from support.synthetic import make_evidence
 
 import swerve
 from swerve import ActionBox, Pendulum, Problem, Task

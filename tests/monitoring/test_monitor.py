@@ -7,7 +7,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from synthetic import SPACE, TASKS, make_demonstration, make_evidence, make_record
+from support.synthetic import SPACE, TASKS, make_demonstration, make_evidence, make_record
 
 from swerve import ActionBox, Box, Monitor, Predicate, Task, infer
 from swerve.base.space import TWO_PI, StateSpace

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from monitoring.test_monitor import Known
-from synthetic import TASKS, make_evidence, make_record
+from support.synthetic import TASKS, make_evidence, make_record
 
 import swerve
 from swerve import Ball, Box, Demonstration, HalfSpace, Monitor, Task, infer

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from matplotlib.patches import Rectangle
-from synthetic import make_demonstration, make_evidence
+from support.synthetic import make_demonstration, make_evidence
 
 from swerve import infer, plot_contributions
 from swerve.inference.ranking import Inference

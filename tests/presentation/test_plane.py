@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from synthetic import SPACE, make_record
+from support.synthetic import SPACE, make_record
 
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.constraints.base import Predicate

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.patches import PathPatch
 from matplotlib.text import Annotation
-from synthetic import (
+from support.synthetic import (
     SPACE,
     TASKS,
     evidence_of_columns,
@@ -27,6 +27,7 @@ from synthetic import (
 )
 
 from swerve import Gridworld, Problem, learn, sample, windows
+from swerve.base import phrases
 from swerve.base.space import TWO_PI, Task
 from swerve.constraints import polygons
 from swerve.constraints.base import Predicate
@@ -39,7 +40,6 @@ from swerve.hypotheses.grid import grid
 from swerve.inference.ranking import Inference, infer
 from swerve.presentation import plane_picture as picture
 from swerve.presentation import plots, shading
-from swerve.presentation import sentences as wording
 from swerve.presentation.plane import plane_of
 from swerve.presentation.plots import plot_inference, plot_posterior, plot_ranking
 
@@ -555,7 +555,7 @@ class TestPosterior:
             figure = plot_posterior(result)
             assert label in legend(figure)
             none = [text for text in legend(figure) if text.startswith("no constraint: ")]
-            assert none == [f"no constraint: {wording.probability(found.none, found.none_error)}"]
+            assert none == [f"no constraint: {phrases.probability(found.none, found.none_error)}"]
 
     def test_a_colour_means_the_same_probability_in_every_picture(self) -> None:
         for figure in (plot_posterior(inference_of()), plot_posterior(infer(make_evidence()))):

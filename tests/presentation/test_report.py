@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from synthetic import (
+from support.synthetic import (
     evidence_of_columns,
     make_demonstration,
     make_evidence,
@@ -19,6 +19,7 @@ from synthetic import (
     make_samples,
 )
 
+from swerve.base import phrases
 from swerve.base.space import TWO_PI, StateSpace, Task
 from swerve.constraints.base import Predicate
 from swerve.demonstrations.demonstration import Demonstration
@@ -28,7 +29,6 @@ from swerve.hypotheses.grid import grid
 from swerve.inference.greedy import greedy
 from swerve.inference.ranking import Inference, infer
 from swerve.presentation import report
-from swerve.presentation import sentences as wording
 from swerve.presentation.report import page, write_report
 
 EVIL = """</td><script>alert("1")</script><b onmouseover='x'>&amp; $x_{"""
@@ -218,7 +218,7 @@ class TestRanking:
             )
             assert float(row[4]) == pytest.approx(result.standard_error[index], abs=6e-4)
             found = result.posterior
-            assert row[5] == wording.probability(
+            assert row[5] == phrases.probability(
                 float(found.hypotheses[index]), float(found.error[index])
             )
             assert float(row[6]) == pytest.approx(result.average_violation[index], abs=6e-5)

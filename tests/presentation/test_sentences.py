@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic import evidence_of_columns, make_demonstration, make_evidence, make_record
+from support.synthetic import evidence_of_columns, make_demonstration, make_evidence, make_record
 
+from swerve.base import phrases
 from swerve.constraints.base import Predicate
 from swerve.constraints.boxes import Box
 from swerve.hypotheses.base import ConstraintHypotheses
@@ -110,7 +111,7 @@ class TestSettings:
     ],
 )
 def test_a_score_ends_at_the_first_digit_of_its_error(value, error, text) -> None:
-    assert wording.measured(value, error) == text
+    assert phrases.measured(value, error) == text
 
 
 def test_lists_of_boxes_are_hypotheses_not_cells() -> None:
@@ -118,20 +119,20 @@ def test_lists_of_boxes_are_hypotheses_not_cells() -> None:
     result = infer(make_evidence(record))
     assert wording.noun(result) == "hypothesis"
     assert wording.hypothesis(result, 1) == "hypothesis 1: x [6, 7)"
-    assert wording.counted(1, "hypothesis") == "1 hypothesis"
-    assert wording.counted(1200, "hypothesis") == "1,200 hypotheses"
+    assert phrases.counted(1, "hypothesis") == "1 hypothesis"
+    assert phrases.counted(1200, "hypothesis") == "1,200 hypotheses"
 
 
 def test_what_asks_or_is_cut_has_no_full_stop() -> None:
-    assert wording.ended("not to be trusted") == "not to be trusted."
-    assert wording.ended("another unit?") == "another unit?"
-    assert wording.ended(wording.cut("a long sentence", 6)) == "a lon…"
+    assert phrases.ended("not to be trusted") == "not to be trusted."
+    assert phrases.ended("another unit?") == "another unit?"
+    assert phrases.ended(phrases.cut("a long sentence", 6)) == "a lon…"
 
 
 def test_lines_do_not_break_inside_a_value() -> None:
     text = "cell 5: theta [3.14, 3.77), omega [-1.2, 0) at 13.4 ± 0.1 nats, Grid(num=(180, 361))"
     for width in np.linspace(1.8, 6.0, 20):
-        lines = wording.wrapped(text, width, 10.0).replace("\N{NO-BREAK SPACE}", " ").split("\n")
+        lines = phrases.wrapped(text, width, 10.0).replace("\N{NO-BREAK SPACE}", " ").split("\n")
         assert " ".join(lines) == text
         for value in ("[3.14, 3.77)", "[-1.2, 0)", "13.4 ± 0.1 nats", "(180, 361)"):
             assert any(value in line for line in lines)
@@ -141,7 +142,7 @@ class TestBelief:
     def test_has_the_bayes_factor(self) -> None:
         result = with_chances([0.1, 0.9, 0.1, 0.5])
         assert result.log_bayes_factor > 0.0
-        factor = wording.times(result.log_bayes_factor)
+        factor = phrases.times(result.log_bayes_factor)
         assert f"; Bayes factor of a constraint against none {factor}; 95 %" in result.belief
 
     def test_has_none_before_anything_is_seen(self) -> None:
@@ -161,4 +162,4 @@ class TestBelief:
         ],
     )
     def test_factors_have_two_digits(self, nats: float, text: str) -> None:
-        assert wording.times(nats) == text
+        assert phrases.times(nats) == text

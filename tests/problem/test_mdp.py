@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import Cart, short_cart, short_pendulum
+from support.reference import Cart, short_cart, short_pendulum
 
 from swerve import MDP, Box, Pendulum, Predicate, Problem, grid, rk4
 from swerve.base.space import TWO_PI
 from swerve.hypotheses.base import HypothesisSet
 from swerve.problem.mdp import check_mdp
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
 
 CELLS = grid(x=(-1.5, 1.5, 6), v=(-2.0, 2.0, 4))
 ANGLES = grid(theta=(0.0, TWO_PI, 4))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import Run
+from support.command import Run
 
 from swerve import Box, Car, Evidence, Inference, Nominal, infer
 from swerve.demonstrators.driver import drives

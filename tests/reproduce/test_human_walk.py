@@ -12,23 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import Run
 from matplotlib.image import imread, imsave
+from support.command import Run
 
 from swerve.base.space import Task
 from swerve.constraints.occupancy import Occupancy
 from swerve.hypotheses.windows import windows
 from swerve.inference.posterior import posterior
 from swerve.reproduce import files
-from swerve.reproduce.human_walk import (
-    beta as human_beta,
-)
-from swerve.reproduce.human_walk import (
-    figures as human_walk_figures,
-)
-from swerve.reproduce.human_walk import (
-    measure as human_walk,
-)
+from swerve.reproduce.human_walk import beta as human_beta
+from swerve.reproduce.human_walk import figures as human_walk_figures
+from swerve.reproduce.human_walk import measure as human_walk
 from swerve.reproduce.human_walk.measure import Result
 from swerve.reproduce.human_walk.tracks import read_room, read_tracks
 from swerve.solvers.exact.soft_paths import SoftPaths

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import Run
 from matplotlib.image import imread
+from support.command import Run
 
 from swerve.constraints.base import violates
 from swerve.reproduce import made

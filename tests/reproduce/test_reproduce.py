@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import Run
 from matplotlib.collections import QuadMesh
 from matplotlib.image import imread
 from matplotlib.patches import Rectangle
+from support.command import Run
 
 from swerve.base.space import Actions, Task
 from swerve.demonstrations.demonstration import Demonstration

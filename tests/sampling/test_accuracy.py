@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 
 import pytest
-import reference
 from rich.console import Console
+from support import reference
 
 from benchmarks import accuracy
 from swerve import Evidence, Grid, Task, learn, sample

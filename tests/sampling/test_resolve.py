@@ -11,8 +11,8 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from command import Run
-from reference import CART_TASK, enumerate_exactly, short_cart
+from support.command import Run
+from support.reference import CART_TASK, enumerate_exactly, short_cart
 
 from swerve import (
     Box,

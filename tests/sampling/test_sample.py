@@ -7,7 +7,14 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, Cart, enumerate_exactly, short_cart, short_pendulum
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    Cart,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
 
 from swerve import (
     ActionBox,

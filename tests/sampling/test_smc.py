@@ -13,8 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
-from routes import TASK, LatticeRoutes, Planted, Routes, routes, share_above
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    Exact,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
+from support.routes import TASK, LatticeRoutes, Planted, Routes, routes, share_above
 
 from swerve import Box, Evidence, Problem, Task, learn, sample
 from swerve.evidence.samples import NUM_ISLANDS, log_weights

@@ -10,8 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
 from sampling.test_smc import OF_ISLANDS, WALL, Guessed, assert_within_errors
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
 from trust.test_verdicts import Fixed
 
 from swerve import Box, Problem, infer, learn, sample

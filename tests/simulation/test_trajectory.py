@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference import CART_TASK, PENDULUM_TASK, Cart, short_cart, short_pendulum
+from support.reference import CART_TASK, PENDULUM_TASK, Cart, short_cart, short_pendulum
 
 from swerve import Box, Grid, Predicate, Problem, Task, grid, learn, rk4, sample
 from swerve.constraints.base import violates

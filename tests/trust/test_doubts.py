@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from synthetic import (
+from support.synthetic import (
     TASKS,
     evidence_of_columns,
     make_demonstration,
@@ -14,13 +14,13 @@ from synthetic import (
     make_record,
 )
 
+from swerve.base.phrases import some_names
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import grid
 from swerve.inference.ranking import infer
 from swerve.trust.doubts import doubts
-from swerve.trust.verdicts import some_names
 
 DURATION = 0.5  # s, of the model's episodes: 5 steps of 0.1 s
 

@@ -9,10 +9,10 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 import pytest
-from reference import PENDULUM_TASK, short_pendulum
-from routes import TASK, WALL, LatticeRoutes, Planted, routes
 from sampling.test_smc import Guess
-from synthetic import evidence_of_columns, make_demonstration, make_evidence
+from support.reference import PENDULUM_TASK, short_pendulum
+from support.routes import TASK, WALL, LatticeRoutes, Planted, routes
+from support.synthetic import evidence_of_columns, make_demonstration, make_evidence
 
 from swerve import Problem, grid, infer, learn, sample
 from swerve.presentation import sentences as wording

@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from command import ROBOT, SOLVER, SPACE, Run, infer
+from support.command import ROBOT, SOLVER, SPACE, Run, infer
 
 from swerve.base import store
 from swerve.base.space import Task

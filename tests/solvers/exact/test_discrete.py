@@ -8,7 +8,13 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
 
 from swerve import (
     MDP,

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from reference import (
+from support.reference import (
     CART_TASK,
     PENDULUM_TASK,
     Cart,
@@ -39,13 +39,13 @@ from swerve import (
     save_nominal,
 )
 from swerve.base.space import Actions
-from swerve.evidence.exact import ExactAnswer
+from swerve.evidence.exact import ExactAnswer, ExactNominal
 from swerve.evidence.samples import NUM_KEPT
 from swerve.hypotheses.base import unpack
 from swerve.simulation.trajectory import take_step
 from swerve.solvers.exact import enumeration
 from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal
-from swerve.solvers.learn import ExactNominal, Solver
+from swerve.solvers.learn import Solver
 
 STANDARD_ERRORS = 4.5
 FAST = Task(np.array([0.9, 0.6]), np.array([-0.5, 0.0]))  # a third of the time off the track

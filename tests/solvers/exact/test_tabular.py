@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse
-from reference import short_cart
+from support.reference import short_cart
 
 import swerve
 from swerve import ActionBox, Box, Gridworld, Problem, Task, infer, learn, sample, tabular

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import (
+from support.reference import (
     CART_TASK,
     PENDULUM_TASK,
     enumerate_exactly,

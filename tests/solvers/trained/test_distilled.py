@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference import CART_TASK, enumerate_exactly, short_cart
 from sampling.test_smc import assert_within_errors
-from training import Interrupted, assert_resumes, weights
+from support.reference import CART_TASK, enumerate_exactly, short_cart
+from support.training import Interrupted, assert_resumes, weights
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
 from swerve.solvers.trained.distilled_training import DirectPolicy

@@ -10,8 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
-from training import assert_resumes
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
+from support.training import assert_resumes
 
 from swerve import PPO, Box, Problem, Task, learn, load_nominal, sample, save_nominal
 from swerve.evidence.estimators import kl_divergence

@@ -9,9 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference import CART_TASK, PENDULUM_TASK, enumerate_exactly, short_cart, short_pendulum
-from routes import TASK, Routes, routes, share_above
-from training import assert_resumes
+from support.reference import (
+    CART_TASK,
+    PENDULUM_TASK,
+    enumerate_exactly,
+    short_cart,
+    short_pendulum,
+)
+from support.routes import TASK, Routes, routes, share_above
+from support.training import assert_resumes
 
 from swerve import Box, SoftValue, Task, learn, load_nominal, sample, save_nominal
 from swerve.solvers.trained.run import Progress

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from command import Run
 from matplotlib.image import imread
-from reference import Cart, short_pendulum
-from training import Interrupted
+from support.command import Run
+from support.reference import Cart, short_pendulum
+from support.training import Interrupted
 
 from swerve import PPO, Box, Problem, SoftValue, Task, grid, learn, load_nominal, save_nominal
 from swerve.base import store

@@ -10,7 +10,7 @@ from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import Samples, summarise
 from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.grid import grid
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
 
 SPACE = StateSpace(("theta", "x"), ("theta",), np.array([[0.0, TWO_PI], [0.0, 10.0]]))
 TASKS = Task(
