@@ -14,7 +14,7 @@ import numpy as np
 from swerve import MDP, Pendulum, Problem, Task, grid
 from swerve.base.space import Actions
 from swerve.constraints.base import violates
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import unpack
 
 
 class Exact(NamedTuple):
