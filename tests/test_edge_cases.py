@@ -29,7 +29,8 @@ from swerve.base.space import TWO_PI, StateSpace
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.estimators import avoid_probability
 from swerve.evidence.evidence import Evidence
-from swerve.hypotheses.base import ConstraintHypotheses, unpack
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.problem.loading import _is_user_source
 

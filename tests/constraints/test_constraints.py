@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from swerve.base.space import TWO_PI, Actions, StateSpace
 from swerve.constraints.base import Constraint, Predicate, Union, check_constraints, violates
 from swerve.constraints.boxes import ActionBox, Box
-from swerve.hypotheses.base import ConstraintHypotheses, constraint_from_json
+from swerve.constraints.stored import constraint_from_json
+from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))

@@ -16,7 +16,8 @@ from swerve import Ball, Box, Enumeration, HalfSpace, Polygon, Problem, Union, l
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.constraints import polygons
 from swerve.constraints.base import Constraint, Predicate, violates
-from swerve.hypotheses.base import ConstraintHypotheses, constraint_from_json
+from swerve.constraints.stored import constraint_from_json
+from swerve.hypotheses.base import ConstraintHypotheses
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 SPACE = StateSpace(("theta", "x", "y"), ("theta",), np.array([[0.0, TWO_PI], [-4, 4], [-4, 4]]))

@@ -32,7 +32,9 @@ from swerve import (
 )
 from swerve.base.space import Actions, StateSpace
 from swerve.constraints.base import violates
-from swerve.hypotheses.base import ConstraintHypotheses, constraint_from_json, unpack
+from swerve.constraints.stored import constraint_from_json
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.bits import unpack
 from swerve.simulation.trajectory import enters
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))

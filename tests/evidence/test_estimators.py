@@ -20,7 +20,7 @@ from swerve.evidence.estimators import (
     normalise,
     parts,
 )
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import unpack
 
 seeds = st.integers(0, 2**32 - 1)
 STANDARD_ERRORS = 4.5

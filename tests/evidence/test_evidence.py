@@ -24,7 +24,8 @@ from swerve.constraints.boxes import Box
 from swerve.evidence import estimators
 from swerve.evidence.evidence import KIND, MATCH_TOLERANCE, VERSION, Evidence
 from swerve.evidence.samples import summarise
-from swerve.hypotheses.base import ConstraintHypotheses, unpack
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import grid
 
 PARTS = ("tasks", "summary", "samples")

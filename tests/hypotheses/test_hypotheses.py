@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.constraints.base import Predicate, violates
 from swerve.constraints.boxes import Box
-from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, hypotheses_from_json, unpack
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
+from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import GridHypotheses, grid
+from swerve.hypotheses.stored import hypotheses_from_json
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))
 PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))

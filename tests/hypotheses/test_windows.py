@@ -13,7 +13,9 @@ from support.synthetic import SPACE
 
 from swerve import Box, windows
 from swerve.base.space import TWO_PI
-from swerve.hypotheses.base import ConstraintHypotheses, hypotheses_from_json, unpack
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.bits import unpack
+from swerve.hypotheses.stored import hypotheses_from_json
 
 seeds = st.integers(0, 2**31 - 1)
 SETS = {

@@ -21,7 +21,8 @@ from support.synthetic import (
 
 from swerve import Box, Demonstration, Evidence, Inference, Task, greedy, grid, infer
 from swerve.base.space import TWO_PI
-from swerve.hypotheses.base import ConstraintHypotheses, unpack
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.bits import unpack
 from swerve.inference.greedy import Pick
 
 NUM_TASKS, NUM_HYPOTHESES = 3, 12

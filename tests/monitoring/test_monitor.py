@@ -12,7 +12,8 @@ from support.synthetic import SPACE, TASKS, make_demonstration, make_evidence, m
 from swerve import ActionBox, Box, Monitor, Predicate, Task, infer
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.evidence.evidence import Evidence
-from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, unpack
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
+from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import grid
 from swerve.hypotheses.stepwise import stepwise
 from swerve.monitoring.foresight import Ahead

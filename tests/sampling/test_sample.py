@@ -31,7 +31,7 @@ from swerve import (
     learn,
     sample,
 )
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import unpack
 from swerve.solvers.learn import Nominal
 
 COARSE = Grid(num_points=(40, 61))

@@ -13,7 +13,7 @@ import pytest
 import swerve
 from swerve.base.space import StateSpace
 from swerve.constraints.occupancy import Occupancy
-from swerve.hypotheses.base import constraint_from_json
+from swerve.constraints.stored import constraint_from_json
 from swerve.problem.problem import Problem
 from swerve.systems.walker import Walker
 

@@ -12,12 +12,12 @@ Shapes: N trajectories, H hypotheses.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swerve.base.arguments import whole_number
+from swerve.hypotheses.bits import entered_blocks, num_bits
 
 BLOCK = 128  # bytes, of 8 hypotheses each, unpacked at a time
 
@@ -78,9 +78,9 @@ def parts(
     weight = normalise(log_weight)
     members = (group == np.arange(group.max() + 1)[:, None]) * weight
     weight = members.sum(axis=1)
-    avoided = np.repeat(weight[:, None], 8 * violations.shape[1], axis=1)
-    for hypotheses, bits in _touched(violations):
-        entered = members @ bits
+    avoided = np.repeat(weight[:, None], num_bits(violations), axis=1)
+    for hypotheses, bits in entered_blocks(violations, BLOCK):
+        entered = members @ bits.astype(np.float64)
         avoided[:, hypotheses] -= entered
         rare = entered.sum(axis=0) > 0.5  # to avoid it; a difference would be rounding there
         avoided[:, hypotheses[rare]] = members @ (1.0 - bits[:, rare])
@@ -220,10 +220,10 @@ def avoid_probability(
         )
     weight = normalise(log_weight)
     rows = np.stack([weight, weight**2])
-    entered = np.zeros((2, 8 * violations.shape[1]))
+    entered = np.zeros((2, num_bits(violations)))
     avoided = np.tile([[1.0], [rows[1].sum()]], entered.shape[1])
-    for hypotheses, bits in _touched(violations):
-        entered[:, hypotheses] = rows @ bits
+    for hypotheses, bits in entered_blocks(violations, BLOCK):
+        entered[:, hypotheses] = rows @ bits.astype(np.float64)
         avoided[:, hypotheses] -= entered[:, hypotheses]
         rare = entered[0, hypotheses] > 0.5  # to avoid it; a difference would be rounding there
         avoided[:, hypotheses[rare]] = rows @ (1.0 - bits[:, rare])
@@ -233,15 +233,6 @@ def avoid_probability(
     # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
     variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
     return Estimate(avoided, variance)
-
-
-def _touched(violations: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield, block by block, hypotheses [M] that may be entered and their bits [N, M], float64."""
-    touched = np.flatnonzero(np.bitwise_or.reduce(violations, axis=0, initial=0))
-    for first in range(0, len(touched), BLOCK):
-        columns = touched[first : first + BLOCK]
-        bits = np.unpackbits(violations[:, columns], axis=1, bitorder="little")
-        yield (8 * columns[:, None] + np.arange(8)).reshape(-1), bits.astype(np.float64)
 
 
 def least_effective(num_trajectories: int) -> float:

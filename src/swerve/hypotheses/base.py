@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from swerve.base.arguments import whole_number
 from swerve.base.space import Actions, StateSpace
 from swerve.constraints.base import Constraint, check_constraints, violates
-from swerve.constraints.stored import constraint_from_json
+from swerve.hypotheses.bits import no_bits, set_one
 
 
 class HypothesisSet(ABC):
@@ -152,58 +151,11 @@ class ConstraintHypotheses(HypothesisSet):
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]."""
         states = np.asarray(states, np.float64)
-        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        bits = no_bits(len(states), len(self))
         for index, constraint in enumerate(self.constraints):
-            hit = violates(constraint, states, space, between_states, actions)
-            bits[:, index >> 3] |= np.left_shift(hit, index & 7, dtype=np.uint8)
+            set_one(bits, index, violates(constraint, states, space, between_states, actions))
         return bits
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
         return {"kind": "constraints", "constraints": [c.to_json() for c in self.constraints]}
-
-
-def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
-    """Rebuild hypotheses from `to_json` data."""
-    if data["kind"] == "grid":
-        from swerve.hypotheses.grid import GridHypotheses
-
-        return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
-    if data["kind"] == "windows":
-        from swerve.hypotheses.windows import windows
-
-        return windows(data["overlap"], **data["axes"])
-    return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
-
-
-def unpack(bits: np.ndarray, num_hypotheses: int) -> np.ndarray:
-    """Return booleans [..., H] from packed bits [..., ceil(H / 8)]."""
-    unpacked = np.unpackbits(bits, axis=-1, count=num_hypotheses, bitorder="little")
-    return unpacked.astype(bool)
-
-
-def pack_sets(sets: Sequence[Sequence[int]], num_hypotheses: int) -> np.ndarray:
-    """Return sets of hypotheses as packed bits [S, ceil(H / 8)].
-
-    Raises:
-      ValueError: if one is no list of indices, or there is no hypothesis of an index.
-    """
-    members = np.zeros((len(sets), num_hypotheses), bool)
-    for k, indices in enumerate(sets):
-        if np.ndim(indices) != 1:
-            raise ValueError(
-                f"avoiding[{k}]: expected a list of hypotheses, as in [[], [3], [3, 7]], got "
-                f"{indices!r}"
-            )
-        for index in indices:
-            if whole_number(index, f"avoiding[{k}]", 0) >= num_hypotheses:
-                last = num_hypotheses - 1
-                raise ValueError(f"avoiding[{k}]: expected indices from 0 to {last}, got {index}")
-            members[k, index] = True
-    return np.packbits(members, axis=1, bitorder="little")
-
-
-def enters_set(violations: np.ndarray, members: np.ndarray) -> np.ndarray:
-    """Return whether packed bits [N, B] have one of a set in them, packed bits [B]."""
-    columns = np.flatnonzero(members)
-    return np.asarray((violations[:, columns] & members[columns]).any(axis=1))

@@ -23,6 +23,7 @@ from swerve.base.arguments import numbers
 from swerve.base.space import Actions, StateSpace
 from swerve.constraints.boxes import Box, interval_distance
 from swerve.hypotheses.base import HypothesisSet
+from swerve.hypotheses.bits import no_bits, set_pairs
 from swerve.hypotheses.grid_axis import GridAxis
 
 BLOCK = 1 << 16  # states judged at once: what is worked out for them stays in cache
@@ -101,7 +102,7 @@ class GridHypotheses(BoxHypotheses):
         actions: Actions | None = None,
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]; the cost is that of the lines crossed, not of H."""
-        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        bits = no_bits(len(states), len(self))
         size = max(1, BLOCK // states.shape[1])
         for first in range(0, len(states), size):
             block = np.asarray(states[first : first + size], np.float64)
@@ -120,7 +121,7 @@ class GridHypotheses(BoxHypotheses):
             moved[:, 1:] |= index[:, 1:] != index[:, :-1]
             if axis.has_gap:
                 moved[:, 1:] |= axis.in_gap(index[:, :-1])
-        _set_bits(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
+        _set_cells(bits, np.nonzero(moved)[0], _join(axes, [index[moved] for index in indices]))
         if between_states:
             trajectory, step = np.nonzero(moved[:, 1:])
             starts, ends = states[trajectory, step], states[trajectory, step + 1]
@@ -130,7 +131,7 @@ class GridHypotheses(BoxHypotheses):
                 last = axis.turned(index[trajectory, step + 1], starts, ends, steps)
                 spans.append((index[trajectory, step], last))
             segment, cell = _crossed_cells(axes, starts, steps, spans)
-            _set_bits(bits, trajectory[segment], cell)
+            _set_cells(bits, trajectory[segment], cell)
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return for each axis where its cells begin and end."""
@@ -235,12 +236,10 @@ def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:
     return np.where(inside, cell, -1)
 
 
-def _set_bits(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
-    """Set bit cells[k] of row rows[k], leaving out cells of -1."""
+def _set_cells(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
+    """Set the bit of cells[k] in row rows[k], except where the cell is -1, outside the grid."""
     inside = cells >= 0
-    rows, cells = rows[inside], cells[inside]
-    flat = rows * bits.shape[1] + (cells >> 3)
-    np.bitwise_or.at(bits.reshape(-1), flat, np.left_shift(1, cells & 7).astype(np.uint8))
+    set_pairs(bits, rows[inside], cells[inside])
 
 
 def _checked_axis(name: str, axis: Sequence[float]) -> tuple[float, float, int]:

@@ -15,7 +15,8 @@ import numpy as np
 
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.constraints.base import violates
-from swerve.hypotheses.base import HypothesisSet, unpack
+from swerve.hypotheses.base import HypothesisSet
+from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.hypotheses.grid_axis import GridAxis
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from swerve.base.arguments import whole_number
 from swerve.base.space import TWO_PI, Actions, StateSpace
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import no_bits, pack, unpack
 from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
 
 AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
@@ -83,13 +83,12 @@ class WindowHypotheses(BoxHypotheses):
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]; the cost is that of the cells, F, and of H."""
         cells = self._cells.violations(states, space, between_states, actions)
-        bits = np.zeros((len(states), (len(self) + 7) // 8), np.uint8)
+        bits = no_bits(len(states), len(self))
         size = max(1, AT_ONCE // len(self._cells))
         for first in range(0, len(states), size):
             entered = unpack(cells[first : first + size], len(self._cells))
             windows = self._dilated(entered.reshape(-1, *self._cells.shape))
-            flat = windows.reshape(len(entered), -1)
-            bits[first : first + size] = np.packbits(flat, axis=1, bitorder="little")
+            bits[first : first + size] = pack(windows.reshape(len(entered), -1))
         return bits
 
     def _dilated(self, entered: np.ndarray) -> np.ndarray:

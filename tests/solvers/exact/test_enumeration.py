@@ -41,7 +41,7 @@ from swerve import (
 from swerve.base.space import Actions
 from swerve.evidence.exact import ExactAnswer, ExactNominal
 from swerve.evidence.samples import NUM_KEPT
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import unpack
 from swerve.simulation.trajectory import take_step
 from swerve.solvers.exact import enumeration
 from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal

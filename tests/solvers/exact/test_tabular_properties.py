@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from swerve import ActionBox, Box, Constraint, Problem, Task, Union, sample, tabular
 from swerve.evidence.exact import ExactAnswer
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import unpack
 from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal
 from swerve.solvers.exact.tabular import TableNominal, Tabular
 from swerve.systems.tabular import NOWHERE
