@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from monitoring.test_monitor import Known
 from support.command import SOLVER, Run
+from support.monitors import Known
 from support.synthetic import TASKS, make_evidence
 
 from swerve import Evidence, Task

@@ -9,9 +9,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from sampling.test_smc import PROBLEMS, Guessed
+from support.guesses import Guessed
 from support.reference import CART_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
 from support.routes import TASK, LatticeRoutes, Routes, routes
+from support.short_problems import PROBLEMS
 
 from swerve import (
     BetaFit,

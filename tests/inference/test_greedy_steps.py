@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.reference import CART_TASK, short_cart
 from support.synthetic import evidence_of_columns, make_demonstration
+from support.walks import PROBLEM, ROUND, TASK, WORLD, walk
 
 from swerve import (
     Box,
@@ -27,11 +28,7 @@ from swerve import (
 )
 from swerve.base.space import Actions
 from swerve.solvers.exact.tabular import TableNominal
-from swerve.systems.gridworld import MOVES, cell_box
-
-WORLD = Gridworld(width=4, height=3, num_steps=5, cell_features=(("wet", ((1, 0), (2, 0))),))
-PROBLEM = Problem(WORLD, WORLD.hypotheses(), measure="counting", between_states=False)
-TASK = Task(np.array([0.0, 0.0]), np.array([3.0, 0.0]))
+from swerve.systems.gridworld import cell_box
 
 
 @pytest.fixture(scope="module")
@@ -39,16 +36,6 @@ def nominal() -> TableNominal:
     found = learn(PROBLEM, "tabular")
     assert isinstance(found, TableNominal)
     return found
-
-
-def walk(*names: str) -> Demonstration:
-    """Go from the start by moves."""
-    moves = np.array([MOVES[name] for name in names], float)
-    states = np.concatenate([TASK.start[None], TASK.start + moves.cumsum(axis=0)])
-    return Demonstration("-".join(names), states, TASK, actions=moves)
-
-
-ROUND = walk("up", "right", "right", "down-right")
 
 
 def test_picks_raise_the_likelihood_most_and_take_it_off_the_divergence(

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inference.test_greedy import NUM_HYPOTHESES, Plain, made_up
-from inference.test_greedy_steps import PROBLEM, ROUND, TASK
+from support.plain_greedy import NUM_HYPOTHESES, Plain, made_up
 from support.synthetic import evidence_of_columns, make_demonstration
+from support.walks import PROBLEM, ROUND, TASK
 
 from swerve import Inference, Pair, best_pair, greedy, grid, infer, learn, sample
 from swerve.inference import pairs

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from monitoring.test_monitor import Known, make_monitor
 from PIL import Image
+from support.monitors import Known, make_monitor
 from support.synthetic import make_demonstration, make_evidence
 
 from swerve import Course, Demonstration, Monitor, animate_course, follow, infer, plot_course

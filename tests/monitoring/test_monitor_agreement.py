@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from monitoring.test_monitor import Known
+from support.monitors import Known
 from support.synthetic import TASKS, make_evidence, make_record
 
 import swerve

@@ -2,71 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cache
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support.reference import (
-    CART_TASK,
-    PENDULUM_TASK,
-    Exact,
-    enumerate_exactly,
-    short_cart,
-    short_pendulum,
-)
+from support.guesses import Guess, Guessed
+from support.reference import Exact, enumerate_exactly, short_cart
 from support.routes import TASK, LatticeRoutes, Planted, Routes, routes, share_above
+from support.short_problems import PROBLEMS, STANDARD_ERRORS, assert_within_errors
 
-from swerve import Box, Evidence, Problem, Task, learn, sample
-from swerve.evidence.samples import NUM_ISLANDS, log_weights
+from swerve import Task, learn, sample
+from swerve.evidence.samples import log_weights
 from swerve.sampling.smc import _systematic, smc_rollout
 from swerve.simulation.policies import LookAhead
 from swerve.simulation.trajectory import take_step
 
-STANDARD_ERRORS = 4.5
-OF_ISLANDS = 6.1  # as unlikely, of Student's t with 19 degrees of freedom, as 4.5 of a normal
-
-
-class Guess(LookAhead):
-    """Looks ahead with a value that somebody made up: a share of what the goal's distance says."""
-
-    problem: Problem = eqx.field(static=True)
-    weight: float = 0.0
-
-    def value(self, state, step, goal):
-        return self.weight * jnp.sum(self.problem.mdp.space.difference(state, goal) ** 2)
-
-
-@dataclass(frozen=True, eq=False)
-class Guessed:
-    """The nominal of a guess."""
-
-    problem: Problem
-    weight: float = 0.0
-    solver = dataclasses.make_dataclass("Guessing", [])()
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def policies(
-        self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None
-    ) -> Iterator[Guess]:
-        yield from (Guess(self.problem, self.weight) for _ in goals)
-
-
-WALL = Box(x=(0.2, 0.5), v=(-2.0, -0.6))
-PROBLEMS = {
-    "pendulum": (short_pendulum(beta=0.15), PENDULUM_TASK),
-    "ends-early": (short_cart(beta=2.0), CART_TASK),
-    "counting": (short_cart(beta=2.0, measure="counting"), CART_TASK),
-    "known": (short_cart(beta=2.0, known=[WALL]), CART_TASK),
-}
 OFTEN = "ends-often"  # most leave the track
 OF_MANY_LENGTHS = PROBLEMS | {
     OFTEN: (short_cart(beta=1.0), Task(np.array([1.0, 0.8]), np.array([1.4, 0.0])))
@@ -143,20 +96,6 @@ def test_systematic_resampling_keeps_shares_to_one_particle() -> None:
         assert (np.diff(chosen) >= 0).all()
 
 
-def assert_within_errors(evidence: Evidence, truth: Exact) -> None:
-    error = np.sqrt(evidence.summary.avoid_variance[0]) + 1.0 / evidence.effective_sample_size[0]
-    difference = evidence.violation_probability[0] - truth.violation_probability
-    is_open = (truth.violation_probability > 0.1) & (truth.violation_probability < 0.9)
-    assert np.count_nonzero(is_open) >= 3
-    assert (error[is_open] < 0.05).all()
-    assert np.abs(difference / error).max() < OF_ISLANDS
-    islands = evidence.island_log_partition[0]
-    spread = islands.std() / math.sqrt(NUM_ISLANDS)
-    assert evidence.log_partition[0] == pytest.approx(
-        truth.log_partition, abs=OF_ISLANDS * spread + 1e-3
-    )
-
-
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_evidence_agrees_with_enumeration(name: str) -> None:
     problem, task = PROBLEMS[name]
@@ -167,7 +106,7 @@ def test_evidence_agrees_with_enumeration(name: str) -> None:
 
 
 def test_islands_larger_than_a_chunk_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("swerve.sampling.one_task.CHUNK", 300)
+    monkeypatch.setattr("swerve.sampling.one_task.MAX_CHUNK", 300)
     problem, task = PROBLEMS["ends-early"]
     evidence = sample(Guessed(problem, 0.1), task, 19_990, method="smc")
     assert evidence.num_trajectories == 20 * 4 * 250

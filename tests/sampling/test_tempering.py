@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from sampling.test_smc import OF_ISLANDS, WALL, Guessed, assert_within_errors
+from support.guesses import Fixed, Guessed
 from support.reference import (
     CART_TASK,
     PENDULUM_TASK,
@@ -18,7 +18,7 @@ from support.reference import (
     short_cart,
     short_pendulum,
 )
-from trust.test_verdicts import Fixed
+from support.short_problems import OF_ISLANDS, WALL, assert_within_errors
 
 from swerve import Box, Problem, infer, learn, sample
 from swerve.evidence.estimators import LOW_ESS

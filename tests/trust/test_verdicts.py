@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from typing import Any
 
 import equinox as eqx
 import numpy as np
 import pytest
-from sampling.test_smc import Guess
+from support.guesses import Fixed, Guess
 from support.reference import PENDULUM_TASK, short_pendulum
 from support.routes import TASK, WALL, LatticeRoutes, Planted, routes
 from support.synthetic import evidence_of_columns, make_demonstration, make_evidence
@@ -166,8 +165,6 @@ def test_exact_answers_are_exact() -> None:
     assert infer(sample(learn(lattice), TASK)).verdicts() == "1 of 1 tasks exact"
 
 
-# -- policies that are bad on purpose ------------------------------------------------------------
-
 FAR = short_pendulum(beta=4.0)
 
 
@@ -194,24 +191,6 @@ class Elsewhere(LookAhead):
 def right_policy(goal: np.ndarray) -> GridPolicy:
     [policy] = learn(FAR, "grid?num_points=121").policies(goal[None])  # pyright: ignore
     return policy
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Fixed:
-    """A nominal of one policy."""
-
-    policy: Any
-    solver = dataclasses.make_dataclass("Fixing", [])()
-
-    @property
-    def problem(self) -> Problem:
-        return self.policy.problem
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def policies(self, goals: np.ndarray, advance=lambda share: None):
-        yield from (self.policy for _ in goals)
 
 
 BAD = {

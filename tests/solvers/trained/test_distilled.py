@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sampling.test_smc import assert_within_errors
 from support.reference import CART_TASK, enumerate_exactly, short_cart
+from support.short_problems import assert_within_errors
 from support.training import Interrupted, assert_resumes, weights
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
