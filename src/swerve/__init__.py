@@ -6,9 +6,12 @@ The public names below are bound on first use, so that `import swerve` is quick 
 stored evidence never imports JAX.
 """
 
+from swerve.base.version import VERSION as __version__
+
 TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 
 if TYPE_CHECKING:
+    from swerve.answer import Inference, infer
     from swerve.base.space import StateSpace, Task
     from swerve.constraints.base import Constraint, Predicate, Union
     from swerve.constraints.boxes import ActionBox, Box
@@ -32,26 +35,25 @@ if TYPE_CHECKING:
     from swerve.hypotheses.windows import windows
     from swerve.inference.greedy import Pick, greedy
     from swerve.inference.pairs import Pair, best_pair
-    from swerve.inference.ranking import Inference, infer
     from swerve.monitoring.course import Course, follow
     from swerve.monitoring.foresee import Rollouts, foresee
     from swerve.monitoring.foresight import Foresight
     from swerve.monitoring.monitor import Monitor
-    from swerve.presentation.belief_plots import plot_contributions
     from swerve.presentation.course_plots import animate_course, plot_course
-    from swerve.presentation.plots import plot_posterior
+    from swerve.presentation.plots import plot_contributions, plot_posterior
     from swerve.problem.loading import load_problem
     from swerve.problem.mdp import MDP, rk4
     from swerve.problem.problem import Problem
     from swerve.problem.tasks import draw_tasks
     from swerve.sampling.resolve import resolve
     from swerve.sampling.sample import sample
+    from swerve.solvers.base import Nominal
     from swerve.solvers.exact.discrete import Discrete
     from swerve.solvers.exact.enumeration import Enumeration
     from swerve.solvers.exact.soft_paths import SoftPaths
     from swerve.solvers.exact.tabular import Tabular
     from swerve.solvers.grid.grid import Grid
-    from swerve.solvers.learn import Nominal, learn, load_nominal, save_nominal
+    from swerve.solvers.learn import learn, load_nominal, save_nominal
     from swerve.solvers.trained.distilled import Distilled
     from swerve.solvers.trained.ppo import PPO
     from swerve.solvers.trained.soft_value import SoftValue
@@ -62,7 +64,6 @@ if TYPE_CHECKING:
     from swerve.systems.tabular import TabularMDP, tabular
     from swerve.systems.walker import Walker
 
-__version__ = "0.1.0"
 
 _HOMES = {
     "ActionBox": "constraints.boxes",
@@ -83,10 +84,10 @@ _HOMES = {
     "Gridworld": "systems.gridworld",
     "HalfSpace": "constraints.shapes",
     "HypothesisSet": "hypotheses.base",
-    "Inference": "inference.ranking",
+    "Inference": "answer",
     "MDP": "problem.mdp",
     "Monitor": "monitoring.monitor",
-    "Nominal": "solvers.learn",
+    "Nominal": "solvers.base",
     "Occupancy": "constraints.occupancy",
     "Optimum": "demonstrators.optimal_control",
     "PPO": "solvers.trained.ppo",
@@ -119,13 +120,13 @@ _HOMES = {
     "grid": "hypotheses.grid",
     "hoeffding_error": "evidence.estimators",
     "hoeffding_sample_size": "evidence.estimators",
-    "infer": "inference.ranking",
+    "infer": "answer",
     "learn": "solvers.learn",
     "load_nominal": "solvers.learn",
     "load_problem": "problem.loading",
     "read_demonstrations": "demonstrations.demonstration",
     "read_tasks": "demonstrations.demonstration",
-    "plot_contributions": "presentation.belief_plots",
+    "plot_contributions": "presentation.plots",
     "plot_course": "presentation.course_plots",
     "plot_posterior": "presentation.plots",
     "rk4": "problem.mdp",

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from swerve.presentation import sentences as wording
+from swerve.base import phrases
 
 WIDTH, MIN_WIDTH = 8.4, 2.5  # in
 
@@ -40,7 +40,7 @@ def headed(
     lines = []
     for text, size, colour in header:
         lines += [
-            (line, size, colour) for line in wording.wrapped(text, width - 0.3, size).split("\n")
+            (line, size, colour) for line in phrases.wrapped(text, width - 0.3, size).split("\n")
         ]
     top = 0.15 + sum(1.4 * size / 72 for _, size, _ in lines)
     figure = Figure((width, height + top), facecolor="white")

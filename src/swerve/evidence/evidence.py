@@ -1,21 +1,17 @@
-"""What sampling the nominal distribution tells: how often each hypothesis is entered, task by task.
-
-    log_ratio[task, c] = log(Z_c / Z_0) = log P_{xi ~ pi_0}(xi avoids c)    (the paper, Theorem 1)
+"""Evidence: what sampling the nominal distribution tells of each hypothesis, task by task.
 
 Evidence is all that inference needs. It keeps N trajectories a task as numbers and bits, summed up
-in small tables that are read without them.
+in small tables that are read without them (see `estimates`).
 
-Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, n states, g goal dimensions.
+Shapes: K tasks, N trajectories, H hypotheses, n states, g goal dimensions.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,27 +20,18 @@ import numpy as np
 from swerve.base import store
 from swerve.base.arguments import positive_number
 from swerve.base.space import Task
-from swerve.evidence import estimators
-from swerve.evidence.samples import (
-    EXACT,
-    REWEIGHED,
-    Samples,
-    Summary,
-    log_weights,
-    summarise,
-    weights_used,
-)
-from swerve.problem.problem import ProblemRecord
+from swerve.evidence import matching
+from swerve.evidence.estimates import Estimates
+from swerve.evidence.samples import REWEIGHED, Samples, Summary, summarise
+from swerve.problem.record import ProblemRecord
 
 KIND = "swerve-evidence"
-VERSION = 6
+VERSION = 6  # of the file format
 Fields = TypeVar("Fields", bound=tuple)
-
-MATCH_TOLERANCE = 1e-3  # of the extent of a state, between a demonstration's task and evidence
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(Estimates):
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     Attributes:
@@ -61,187 +48,6 @@ class Evidence:
         given.
     """
 
-    problem: ProblemRecord
-    tasks: Task
-    method: str
-    num_trajectories: int
-    solver: str
-    seed: int
-    summary: Summary
-    load_samples: Callable[[], Samples] = dataclasses.field(repr=False)
-    sampling_beta: float = None  # pyright: ignore[reportAssignmentType]  # set below
-
-    def __post_init__(self) -> None:
-        if self.sampling_beta is None:
-            object.__setattr__(self, "sampling_beta", self.problem.beta)
-
-    @cached_property
-    def samples(self) -> Samples:
-        """The trajectories, reduced; read from the file on first use."""
-        return self.load_samples()
-
-    @property
-    def num_tasks(self) -> int:
-        """K."""
-        return len(self.tasks.start)
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the solver gave answers without sampling."""
-        return self.method == EXACT
-
-    @property
-    def is_of_other_beta(self) -> bool:
-        """Whether the trajectories were drawn for another beta than they are weighed for."""
-        return self.sampling_beta != self.problem.beta
-
-    @property
-    def violation_probability(self) -> np.ndarray:
-        """[K, H] probability that a nominal trajectory enters each hypothesis, 1 - Z_c / Z_0."""
-        return 1.0 - self.summary.avoid_probability
-
-    @property
-    def resolution(self) -> np.ndarray:
-        """[K] the least probability that the samples resolve: one trajectory's share.
-
-        1 / N for equal weights, 1 / ESS for importance weights; 0 where answers are exact.
-        """
-        if self.is_exact:
-            return np.zeros(self.num_tasks)
-        if self._weighs_alike:
-            return np.full(self.num_tasks, 1.0 / self.num_trajectories)
-        return 1.0 / self.effective_sample_size
-
-    @property
-    def has_too_few(self) -> np.ndarray:
-        """[K] True where the effective sample size is too low for anything to be trusted."""
-        return self.effective_sample_size < estimators.least_effective(self.num_trajectories)
-
-    @property
-    def is_floored(self) -> np.ndarray:
-        """[K, H] True where less than one trajectory's share avoids a hypothesis.
-
-        The samples then only say that the ratio is small: its log is given as that of the share.
-        """
-        return (self.summary.avoid_probability < self.resolution[:, None]) & ~self.is_resolved
-
-    @property
-    def log_ratio(self) -> np.ndarray:
-        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution); -inf where it is exactly 0."""
-        return self._estimate.value
-
-    @property
-    def standard_error(self) -> np.ndarray:
-        """[K, H] standard error of `log_ratio` in nats (delta method).
-
-        At least `resolution`, what one more trajectory could change; 1 where the ratio is floored;
-        0 where answers are exact.
-        """
-        return self._estimate.standard_error
-
-    @cached_property
-    def _estimate(self) -> estimators.LogRatio:
-        summary = self.summary
-        if self.is_exact:
-            return estimators.LogRatio(summary.log_ratio, summary.log_ratio_error)
-        estimate = estimators.Estimate(summary.avoid_probability, summary.avoid_variance)
-        sampled = estimators.log_ratio(estimate, self.resolution)
-        known, error = self.is_resolved, summary.log_ratio_error
-        return estimators.LogRatio(
-            np.where(known, summary.log_ratio, sampled.value),
-            np.where(known, error, sampled.standard_error),
-        )
-
-    @property
-    def is_resolved(self) -> np.ndarray:
-        """[K, H] True where the ratio was worked out with the constraint in force, or is exact."""
-        return np.isfinite(self.summary.log_ratio_error)
-
-    @property
-    def log_partition(self) -> np.ndarray:
-        """[K] log Z_0, nats."""
-        return self.summary.log_partition
-
-    @property
-    def kl(self) -> np.ndarray:
-        """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
-
-        For "smc" and "tempered" it is KL(pi_0 || pi), since their trajectories are those of pi_0.
-        After `at_beta` pi is still the policy that drew them and pi_0 that of the new beta, which
-        it was not made for; for "plain" it stays that of `sampling_beta`, which its weights take pi
-        for.
-        """
-        return self.summary.kl
-
-    @property
-    def soft_value(self) -> np.ndarray:
-        """[K] log Z_0 by the solver's own soft value, nats; NaN without one of this beta."""
-        return self.summary.soft_value
-
-    @property
-    def effective_sample_size(self) -> np.ndarray:
-        """[K] effective sample size of the importance weights, whatever the method.
-
-        With method "plain" all N are weighed alike, and this says how far they can be trusted; at
-        another beta than they were drawn for, it is that of its own weights where that is less.
-        """
-        return self.summary.effective_sample_size
-
-    @property
-    def distinct_share(self) -> np.ndarray:
-        """[K] share of the trajectories at the start that resampling has left; 1 without."""
-        return self.summary.distinct_share
-
-    @property
-    def island_log_partition(self) -> np.ndarray:
-        """[K, I] log Z_0 by each of I parts of the samples that are independent, nats."""
-        return self.summary.island_log_partition
-
-    @property
-    def island_spread(self) -> np.ndarray:
-        """[K] standard deviation of these, nats; infinite where nothing of an island is left."""
-        log_partition = self.island_log_partition
-        is_lost = np.isneginf(log_partition)
-        spread = np.where(is_lost, 0.0, log_partition).std(axis=1)
-        return np.where(is_lost.any(axis=1), np.inf, spread)
-
-    @property
-    def log_partition_error(self) -> np.ndarray:
-        """[K] standard error of `log_partition` by how far islands agree, nats."""
-        return self.island_spread / math.sqrt(self.island_log_partition.shape[1])
-
-    @cached_property
-    def log_weight(self) -> np.ndarray:
-        """[K, N] log-weights that `method` uses, nats; for "plain" (beta - sampling_beta) R."""
-        return weights_used(self.problem, self.samples, self.method, self.sampling_beta)
-
-    @property
-    def importance_log_weight(self) -> np.ndarray:
-        """[K, N] l = beta R + log m - log pi, with what resampling adds to it, nats."""
-        return log_weights(self.problem, self.samples) + self.samples.log_correction
-
-    def hoeffding_error(self, confidence: float = 0.95) -> float:
-        """Return the bound on each probability's error (the paper, III-C.2); equal weights only.
-
-        It holds for what the policy does, not for how far the policy is from pi_0.
-
-        Raises:
-          ValueError: if the weights are not equal.
-        """
-        if not self._weighs_alike:
-            made = f"by {self.method!r}"
-            if self.is_of_other_beta:
-                made += f" at beta {self.sampling_beta:g}, not {self.problem.beta:g}"
-            raise ValueError(
-                f"Hoeffding's bound needs equal weights (method 'plain'), this evidence was made "
-                f"{made}: use standard_error"
-            )
-        return estimators.hoeffding_error(self.num_trajectories, confidence)
-
-    @property
-    def _weighs_alike(self) -> bool:
-        return self.method == "plain" and not self.is_of_other_beta
-
     @property
     def digest(self) -> str:
         """A hash that differs between evidence for different tasks, or with other answers."""
@@ -256,12 +62,12 @@ class Evidence:
         )
 
     def find(self, task: Task) -> int | None:
-        """Return the index of the task with the same start and goal, or None.
+        """Return the index of the task with the same start and goal, None if there is none.
 
-        The same means within MATCH_TOLERANCE of each state's extent.
+        Two tasks are the same within MATCH_TOLERANCE of each state's extent.
         """
         number, distance = self.nearest(task)
-        return int(number) if distance <= MATCH_TOLERANCE else None
+        return int(number) if distance <= matching.MATCH_TOLERANCE else None
 
     def match(self, task: Task, name: str = "the task") -> int:
         """Return the index of the task with the same start and goal, as `find` does.
@@ -269,29 +75,14 @@ class Evidence:
         Raises:
           ValueError: if there is none; the message names the nearest.
         """
-        found = self.find(task)
-        if found is None:
-            number, _ = self.nearest(task)
-            start, goal = self.tasks.start[number], self.tasks.goal[number]
-            raise ValueError(
-                f"{name}: no evidence for start {_numbers(task.start)} and goal "
-                f"{_numbers(task.goal)}; the nearest of {self.num_tasks} tasks is start "
-                f"{_numbers(start)}, goal {_numbers(goal)}. "
-                "Sample this task too: swerve.sample(nominal, tasks)"
-            )
-        return found
+        return matching.match(self.problem, self.tasks, task, name)
 
     def nearest(self, tasks: Task) -> tuple[np.ndarray, np.ndarray]:
-        """Return the index [...] of the task nearest to each of some [...], and how far it is.
+        """Return the index [...] of the task nearest to each of `tasks` [...], and its distance.
 
-        Distances are in units of the states' extent.
+        Distances are in units of the states' extents.
         """
-        start, goal = (np.asarray(part, float)[..., None, :] for part in tasks)
-        distance = np.maximum(
-            self.problem.space.relative_distance(self.tasks.start, start),
-            _goal_distance(self.problem, self.tasks.goal, goal),
-        )
-        return distance.argmin(axis=-1), distance.min(axis=-1)
+        return matching.nearest(self.problem, self.tasks, tasks)
 
     def select(self, indices: list[int]) -> Evidence:
         """Return evidence for some of the tasks, in the order given."""
@@ -418,19 +209,6 @@ class Evidence:
         )
 
 
-def _goal_distance(problem: ProblemRecord, goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Return how far [..., K] goals [K, g] are from some [..., 1, g], in the states' extents."""
-    if problem.goal_names == problem.space.names:
-        return problem.space.relative_distance(goals, goal)
-    if not goals.shape[-1]:
-        return np.zeros((*goal.shape[:-2], len(goals)))
-    return (np.abs(goals - goal) / np.maximum(1.0, np.abs(goal))).max(axis=-1)
-
-
 def _concatenated(parts: Sequence[Fields]) -> Fields:
     """Return named tuples of arrays as one, joined along the first axis of every array."""
     return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-def _numbers(values: Any) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in np.asarray(values)) + ")"

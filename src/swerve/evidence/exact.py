@@ -12,14 +12,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import EXACT, NUM_ISLANDS, Samples, log_weights, summarise
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
+
+if TYPE_CHECKING:
+    from swerve.problem.problem import Problem
 
 
 class Drawn(NamedTuple):
@@ -57,6 +61,47 @@ class ExactAnswer(NamedTuple):
     def avoid_probability(self) -> np.ndarray:
         """[H] Z_c / Z_0; 0 where it is too small for a number."""
         return np.exp(self.log_ratio)
+
+
+class NamedSolver(Protocol):
+    """A solver, as far as messages name it."""
+
+    @property
+    def name(self) -> str:
+        """Name of the solver on the command line."""
+        ...
+
+
+@runtime_checkable
+class ExactNominal(Protocol):
+    """A nominal distribution that answers without sampling."""
+
+    @property
+    def problem(self) -> Problem:
+        """Problem that the nominal distribution belongs to."""
+        ...
+
+    @property
+    def solver(self) -> NamedSolver:
+        """Solver that made the nominal distribution."""
+        ...
+
+    def answer(
+        self,
+        task: Task,
+        generator: np.random.Generator,
+        advance: Callable[[float], None] = lambda share: None,
+        avoiding: Sequence[int] = (),
+    ) -> ExactAnswer:
+        """Return the exact answer for a task; log Z_0 is -inf where no trajectory is allowed.
+
+        Args:
+          task: start [n] and goal [g].
+          generator: random numbers for the trajectories that are kept for pictures.
+          advance: called with the share of the task done since the last call; the shares add to 1.
+          avoiding: hypotheses C in force: the answer is then log Z_C and P(avoid c | avoid C).
+        """
+        ...
 
 
 def exact_evidence(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from swerve.evidence import estimators
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
 
 METHODS = ("smc", "importance", "plain")
 TEMPERED = "tempered"  # what the method is called where a beta is reached by those between

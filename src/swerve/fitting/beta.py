@@ -29,7 +29,7 @@ from swerve.evidence.estimators import least_effective
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import islands
 from swerve.fitting.rewards import total_rewards
-from swerve.inference.ranking import infer
+from swerve.inference.ranking import Ranking
 from swerve.problem.problem import Problem
 from swerve.trust.verdicts import HOTTEST
 
@@ -131,7 +131,7 @@ def fit_beta(
         raise ValueError("demonstrations: expected a list of at least one")
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence: expected a number between 0 and 1, got {confidence}")
-    judged = infer(_of_problem(evidence, problem), demonstrations)
+    judged = Ranking.of(_of_problem(evidence, problem), demonstrations)
     rewards = total_rewards(problem, demonstrations)
     likelihood = Likelihood.of(evidence, judged.task_of, rewards)
     trusted = _trusted(likelihood, evidence)

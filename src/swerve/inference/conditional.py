@@ -20,10 +20,11 @@ from swerve.base.space import Task
 from swerve.evidence import estimators
 from swerve.evidence.estimators import LogRatio
 from swerve.evidence.samples import islands
-from swerve.inference.ranking import Inference
+from swerve.hypotheses.bits import blocks, bytes_of, num_bits, select_one
+from swerve.inference.ranking import Ranking
 
 if TYPE_CHECKING:
-    from swerve.solvers.learn import ExactNominal
+    from swerve.evidence.exact import ExactNominal
 
 ROWS, COLUMNS = 256, 64  # trajectories and bytes unpacked at a time: half a MB of numbers
 PART = 16  # bits; 256 numbers of as many add up to 24 bits at most, which float32 holds
@@ -49,7 +50,7 @@ class Coverage(Protocol):
         ...
 
 
-def coverage(inference: Inference, nominal: ExactNominal | None) -> Coverage:
+def coverage(inference: Ranking, nominal: ExactNominal | None) -> Coverage:
     """Return the coverage of an inference with nothing in force.
 
     Args:
@@ -92,7 +93,7 @@ class SampledCoverage:
     `resolve` worked out; after that, trajectories alone tell.
     """
 
-    def __init__(self, inference: Inference) -> None:
+    def __init__(self, inference: Ranking) -> None:
         self._evidence = inference.evidence
         self._is_counted = inference.is_counted
         self._uncovered: dict[int, Uncovered] = {}
@@ -114,11 +115,11 @@ class SampledCoverage:
         """Return the ratios [K, M] of some hypotheses to all digits, with standard errors."""
         evidence = self._evidence
         value, error = (x[:, indices] for x in (evidence.log_ratio, evidence.standard_error))
-        columns, place = np.unique(indices >> 3, return_inverse=True)
+        columns, place = bytes_of(indices)
         for k, uncovered in self._uncovered.items():
             found = uncovered.refined(columns)
             for row, of_columns in zip((value[k], error[k]), found, strict=True):
-                row[:] = of_columns[8 * place + (indices & 7)]
+                row[:] = of_columns[place]
         return LogRatio(value, error)
 
 
@@ -144,7 +145,7 @@ class Uncovered:
         self._are_independent = len(np.unique(ancestor)) == len(ancestor)
         self._rows = np.flatnonzero(np.isfinite(log_weight))
         self._weigh()
-        self._entered = np.zeros(8 * violations.shape[1])
+        self._entered = np.zeros(num_bits(violations))
         self._entered[: len(avoid_probability)] = 1.0 - avoid_probability
 
     def _weigh(self) -> None:
@@ -163,8 +164,7 @@ class Uncovered:
 
     def cover(self, index: int) -> None:
         """Leave out the trajectories that enter a hypothesis."""
-        byte = self._violations[self._rows, index >> 3]
-        enters = (byte >> (index & 7) & 1).astype(bool)
+        enters = select_one(self._violations, self._rows, index)
         covered, self._rows = self._rows[enters], self._rows[~enters]
         if not len(self._rows):
             return
@@ -180,10 +180,8 @@ class Uncovered:
         for first in range(0, len(rows), ROWS):
             some = rows[first : first + ROWS]
             parts, packed = self._parts[:, some], self._violations[some]
-            for left in range(0, packed.shape[1], COLUMNS):
-                columns = packed[:, left : left + COLUMNS]
-                bits = np.unpackbits(columns, axis=1, bitorder="little").astype(np.float32)
-                total[8 * left : 8 * left + bits.shape[1]] += self._place @ (parts @ bits)
+            for hypotheses, bits in blocks(packed, COLUMNS):
+                total[hypotheses] += self._place @ (parts @ bits.astype(np.float32))
         return total
 
     def log_ratio(self, num_hypotheses: int) -> np.ndarray:
@@ -232,7 +230,7 @@ class Uncovered:
 class ExactCoverage:
     """Coverage by an exact solver."""
 
-    def __init__(self, inference: Inference, nominal: ExactNominal) -> None:
+    def __init__(self, inference: Ranking, nominal: ExactNominal) -> None:
         self._tasks = inference.evidence.tasks
         self._is_counted = inference.is_counted
         self._nominal = nominal

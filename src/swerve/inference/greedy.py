@@ -23,14 +23,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swerve.base.arguments import instance, number_or_nan, positive_number, whole_number
+from swerve.base.arguments import number_or_nan, positive_number, whole_number
 from swerve.evidence.estimators import LogRatio
 from swerve.inference import likelihood, posterior
 from swerve.inference.conditional import Coverage, coverage
-from swerve.inference.ranking import Inference
+from swerve.inference.ranking import Ranking, check_ranking
 
 if TYPE_CHECKING:
-    from swerve.solvers.learn import ExactNominal
+    from swerve.evidence.exact import ExactNominal
 
 TIED = 1e-9  # relative: gains closer than this are one, and the lowest index is taken
 NEAR = 1e-6  # relative: gains closer than this are looked at with all their digits
@@ -61,7 +61,7 @@ class Pick(NamedTuple):
 
 
 def greedy(
-    inference: Inference,
+    inference: Ranking,
     nominal: ExactNominal | None = None,
     *,
     threshold: float = likelihood.THRESHOLD,
@@ -91,7 +91,7 @@ def greedy(
       ValueError: if there is no demonstration, the threshold is below zero or no number, the odds
         are not above 0, or the evidence is exact and the nominal that it came from is not given.
     """
-    instance(inference, Inference, "inference", "make one with swerve.infer")
+    check_ranking(inference)
     expected = "a number >= 0 (nats a demonstration)"
     if not 0.0 <= number_or_nan(threshold) < math.inf:
         raise ValueError(f"threshold: expected {expected}, got {threshold}")
@@ -113,7 +113,7 @@ def greedy(
     return picks
 
 
-def _best(inference: Inference, in_force: InForce, covered: Coverage) -> Pick | None:
+def _best(inference: Ranking, in_force: InForce, covered: Coverage) -> Pick | None:
     """Return the hypothesis of the largest gain among those left, None where none gains."""
     num = in_force.num_demonstrations
     total_gain = in_force.gains(covered.log_ratio)
@@ -147,7 +147,7 @@ class InForce:
       num_demonstrations: D.
     """
 
-    def __init__(self, inference: Inference) -> None:
+    def __init__(self, inference: Ranking) -> None:
         self._inference = inference
         self._is_picked = np.zeros(len(inference.struck_out), bool)
         self._is_obeyed = np.ones(len(inference.demonstrations), bool)

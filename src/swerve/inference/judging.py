@@ -1,4 +1,4 @@
-"""Judging demonstrations: whether they fit the problem, of which tasks they are, what they enter.
+"""Judge demonstrations: do they fit the problem, which tasks are theirs, what do they enter?
 
 Shapes: D demonstrations, L states, n state dimensions, m action dimensions, H hypotheses.
 """
@@ -23,11 +23,13 @@ from swerve.demonstrations.checks import (
     row_namer,
 )
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.evidence.evidence import MATCH_TOLERANCE, Evidence
-from swerve.hypotheses.base import HypothesisSet, unpack
-from swerve.problem.problem import ProblemRecord
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.matching import match_each
+from swerve.hypotheses.base import HypothesisSet
+from swerve.hypotheses.bits import unpack
+from swerve.problem.record import ProblemRecord
 
-AT_ONCE = 64  # demonstrations judged together
+AT_ONCE = 64  # demonstrations judged together: bounds the memory for their states
 
 
 def judge(
@@ -37,12 +39,12 @@ def judge(
 
     Args:
       demonstrations: finished ones.
-      evidence: what they are held against.
-      hypotheses: what they may have entered: those of the problem, or what is left of them where
+      evidence: of their tasks.
+      hypotheses: H regions that they may enter: the hypotheses of the problem, less a margin where
         measurement noise is allowed for.
 
     Raises:
-      ValueError: if one is none, does not fit the problem, or there is no evidence for its task.
+      ValueError: if one is no Demonstration, does not fit the problem, or its task has no evidence.
     """
     for item in demonstrations:
         if not isinstance(item, Demonstration):
@@ -57,7 +59,9 @@ def judge(
         states = _checked_states(block, evidence.problem.space)
         for item in block:
             _check_fits(item, evidence)
-        tasks[first : first + AT_ONCE] = _matched(block, evidence)
+        batch = Task.stack([item.task for item in block])
+        names = [item.name for item in block]
+        tasks[first : first + AT_ONCE] = match_each(evidence.problem, evidence.tasks, batch, names)
         entered[first : first + AT_ONCE] = _entered(block, states, evidence.problem, hypotheses)
     return tasks, entered
 
@@ -88,7 +92,7 @@ def _rested(states: np.ndarray, num: int) -> np.ndarray:
 
 
 def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:
-    """Check what one demonstration does against the problem."""
+    """Raise ValueError where a demonstration does what the problem does not allow."""
     problem, states = evidence.problem, demonstration.states
     if problem.transitions is not None:
         actions = _actions(demonstration, problem, demonstration.actions is not None)
@@ -101,23 +105,13 @@ def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:
     _check_goal(demonstration, evidence)
 
 
-def _matched(demonstrations: Sequence[Demonstration], evidence: Evidence) -> np.ndarray:
-    """Return the tasks [D] of demonstrations in the evidence."""
-    starts = np.stack([item.task.start for item in demonstrations])
-    goals = np.stack([item.task.goal for item in demonstrations])
-    numbers, away = evidence.nearest(Task(starts, goals))
-    for k in np.flatnonzero(away > MATCH_TOLERANCE).tolist():
-        evidence.match(demonstrations[k].task, demonstrations[k].name)  # which says that it is none
-    return numbers
-
-
 def _entered(
     demonstrations: Sequence[Demonstration],
     states: np.ndarray,
     problem: ProblemRecord,
     hypotheses: HypothesisSet,
 ) -> np.ndarray:
-    """Return what demonstrations enter [D, H], by their states [D, L, n]."""
+    """Return [D, H] True where a demonstration, by its states [D, L, n], enters a hypothesis."""
     actions = None
     if hypotheses.about_actions:
         values = np.full((*states[:, 1:, 0].shape, len(problem.action_names)), np.nan)
@@ -131,7 +125,7 @@ def _entered(
 
 
 def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
-    """Refuse a demonstration that enters a known constraint: under the model it cannot happen."""
+    """Raise ValueError where a demonstration enters a known constraint."""
     for constraint in problem.known:
         actions = _actions(demonstration, problem, constraint.about_actions)
         states, between = demonstration.states, problem.between_states
@@ -143,7 +137,7 @@ def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
 
 
 def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool) -> Actions | None:
-    """Return the actions of a demonstration [L-1, m] where they are needed."""
+    """Return the actions of a demonstration [L-1, m], None where they are not needed."""
     if not needed:
         return None
     names, values = problem.action_names, demonstration.actions

@@ -22,7 +22,7 @@ from swerve.base.arguments import number_or_nan
 if TYPE_CHECKING:
     from swerve.base.space import Task
     from swerve.hypotheses.base import HypothesisSet
-    from swerve.problem.problem import ProblemRecord
+    from swerve.problem.record import ProblemRecord
 
 THRESHOLD = 0.1  # nats a demonstration: the least gain for which greedy selection picks
 MAX_TOLERANCE = 0.5

@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from swerve.base.arguments import instance
 from swerve.evidence import estimators
+from swerve.hypotheses.bits import select
 from swerve.inference import likelihood
 from swerve.inference.conditional import coverage
 from swerve.inference.greedy import TIED, InForce, greedy
-from swerve.inference.ranking import Inference
+from swerve.inference.ranking import Ranking, check_ranking
 
 if TYPE_CHECKING:
-    from swerve.solvers.learn import ExactNominal
+    from swerve.evidence.exact import ExactNominal
 
 BLOCK = 256  # rows and columns looked at at a time
 
@@ -47,7 +47,7 @@ class Pair(NamedTuple):
     log_partition: np.ndarray
 
 
-def best_pair(inference: Inference, nominal: ExactNominal | None = None) -> Pair:
+def best_pair(inference: Ranking, nominal: ExactNominal | None = None) -> Pair:
     """Return the two hypotheses that together explain the demonstrations best.
 
     With a tolerance the best of them alone may explain more than any two: compare with the largest
@@ -66,7 +66,7 @@ def best_pair(inference: Inference, nominal: ExactNominal | None = None) -> Pair
       ValueError: if there is no demonstration, fewer than two hypotheses are left, no two of them
         can be avoided together, or the evidence is exact and its nominal is not given.
     """
-    instance(inference, Inference, "inference", "make one with swerve.infer")
+    check_ranking(inference)
     coverage(inference, nominal)  # checks that both go together
     left = np.flatnonzero(~inference.struck_out)
     if len(left) < 2:
@@ -84,13 +84,13 @@ def best_pair(inference: Inference, nominal: ExactNominal | None = None) -> Pair
     return _of_samples(inference, _search(_Samples(inference, ordered), known))
 
 
-def _of_samples(inference: Inference, pair: tuple[int, int]) -> Pair:
+def _of_samples(inference: Ranking, pair: tuple[int, int]) -> Pair:
     """Return a pair with what samples tell of it."""
     evidence, indices = inference.evidence, np.array(pair)
     found = []
     for k, log_weight in enumerate(evidence.log_weight):
         counted = indices[inference.is_counted[k, indices]]
-        bits = evidence.samples.violations[k][:, counted >> 3] >> (counted & 7) & 1
+        bits = select(evidence.samples.violations[k], counted)
         entered = bits.any(axis=1).astype(np.uint8)[:, None]
         estimate = estimators.avoid_probability(log_weight, entered, 1)
         resolution = 1.0 / estimators.effective_sample_size(log_weight)
@@ -107,7 +107,7 @@ def _of_samples(inference: Inference, pair: tuple[int, int]) -> Pair:
     return Pair(pair, float(value), spread, evidence.log_partition + log_share)
 
 
-def _exactly(inference: Inference, nominal: ExactNominal, ordered: np.ndarray) -> Pair:
+def _exactly(inference: Ranking, nominal: ExactNominal, ordered: np.ndarray) -> Pair:
     """Return the best pair by solving anew with each hypothesis in force."""
     best: Pair | None = None
     for place, index in enumerate(ordered[:-1].tolist()):
@@ -140,7 +140,7 @@ class _Samples:
       ordered: [M] the hypotheses; rows and columns below are places among these.
     """
 
-    def __init__(self, inference: Inference, ordered: np.ndarray) -> None:
+    def __init__(self, inference: Ranking, ordered: np.ndarray) -> None:
         evidence = inference.evidence
         self.tasks = np.flatnonzero(inference.task_counts).tolist()
         self.ordered = ordered
@@ -181,8 +181,7 @@ class _Samples:
     def _unpacked(self, k: int, places: np.ndarray) -> np.ndarray:
         """Return [N, R] 1 where a trajectory enters a hypothesis that counts for the task."""
         places = np.where(self._is_counted[k, places], places, -1)
-        indices = self.ordered[places]
-        bits = self._bits[k][:, indices >> 3] >> (indices & 7).astype(np.uint8) & 1
+        bits = select(self._bits[k], self.ordered[places])
         return np.where(places >= 0, bits, 0).astype(np.float64)
 
     def _num_avoiding(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

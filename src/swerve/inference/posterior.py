@@ -11,15 +11,13 @@ Shapes: H hypotheses; probabilities [..., H + 1] begin with that of no constrain
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from swerve.base.arguments import number_or_nan
 from swerve.inference import likelihood
-
-if TYPE_CHECKING:
-    from swerve.inference.ranking import Inference
+from swerve.inference.scores import Scores
 
 NONE = 0.5  # P(no constraint) unless a prior is given
 ROUNDING = 1e-6  # by which a prior may miss 1
@@ -171,38 +169,39 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
     return CredibleSet(has_none, chosen[chosen > 0] - 1, min(float(together[num - 1]), 1.0))
 
 
-def of_inference(inference: Inference) -> Posterior:
-    """Return the posterior of an inference.
+def of_scores(scores: Scores) -> Posterior:
+    """Return the posterior of an scores.
 
     Without demonstrations it is the prior. Its errors come from leaving out one island of the
     samples after another, of all tasks at once; ratios worked out with the constraint in force, and
     bounds, have errors of their own.
     """
-    evidence = inference.evidence
-    if not inference.demonstrations:
-        prior = inference.prior
+    evidence = scores.evidence
+    if not scores.demonstrations:
+        prior = scores.prior
         return Posterior(float(prior[0]), 0.0, prior[1:].copy(), np.zeros(len(prior) - 1))
-    tasks = np.flatnonzero(inference.task_counts)
-    value = posterior(inference.log_likelihood, inference.prior)
+    tasks = np.flatnonzero(scores.task_counts)
+    value = posterior(scores.log_likelihood, scores.prior)
     if evidence.is_exact:
         return Posterior(float(value[0]), 0.0, value[1:], np.zeros(len(value) - 1))
-    used = inference.is_used[tasks]
+    used = scores.is_used[tasks]
     has_own_error = (evidence.is_resolved | evidence.is_floored)[tasks] & used
-    # what is left without the island that holds all who avoid is no less than one's share
+    # one island may hold all trajectories that avoid c: without it the probability is at least
+    # one trajectory's share
     without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
     without = np.maximum(without, evidence.resolution[tasks][:, None])
     from_islands = np.log(np.where(used & ~has_own_error, without, 1.0))
-    log_ratio = np.where(has_own_error, inference.finite_log_ratio[tasks], from_islands)
-    counts = likelihood.Counts(*(part[tasks] for part in inference.counts))
-    log_likelihood = likelihood.log_likelihood(log_ratio, counts, inference.tolerance)
-    log_likelihood = np.where(inference.struck_out, -np.inf, log_likelihood)
-    island_error = jackknife_error(posterior(log_likelihood, inference.prior))
-    own = inference.sensitivity[tasks] * evidence.standard_error[tasks] * has_own_error
-    error = np.hypot(island_error, _propagated(value, (own**2).sum(axis=0)))
+    log_ratio = np.where(has_own_error, scores.finite_log_ratio[tasks], from_islands)
+    counts = likelihood.Counts(*(part[tasks] for part in scores.counts))
+    log_likelihood = likelihood.log_likelihood(log_ratio, counts, scores.tolerance)
+    log_likelihood = np.where(scores.struck_out, -np.inf, log_likelihood)
+    island_error = jackknife_error(posterior(log_likelihood, scores.prior))
+    own = scores.sensitivity[tasks] * evidence.standard_error[tasks] * has_own_error
+    error = np.hypot(island_error, _propagated_error(value, (own**2).sum(axis=0)))
     return Posterior(float(value[0]), float(error[0]), value[1:], error[1:])
 
 
-def _propagated(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def _propagated_error(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return the standard errors [H + 1] of a posterior by those of log-likelihoods, delta method.
 
         d p_j / d log L_h = p_j (1[j = h] - p_h)
@@ -215,15 +214,15 @@ def _propagated(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
     return value * np.sqrt(np.sum(value**2 * own) + own * (1.0 - 2.0 * value))
 
 
-def least_tolerance(inference: Inference) -> float | None:
+def least_tolerance(scores: Scores) -> float | None:
     """Return the least tolerance with which a hypothesis is more probable than no constraint.
 
-    None where one is already, or none would be up to the largest tolerance.
+    None where one is more probable already, or none would be up to the largest tolerance.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_odds = np.log(inference.prior[1:]) - np.log(inference.prior[0])
-    log_odds = np.where(inference.impossible | (inference.prior[1:] == 0.0), -np.inf, log_odds)
-    left = ~inference.struck_out
-    if (inference.log_likelihood[left] + log_odds[left] > 0.0).any():
+        log_odds = np.log(scores.prior[1:]) - np.log(scores.prior[0])
+    log_odds = np.where(scores.impossible | (scores.prior[1:] == 0.0), -np.inf, log_odds)
+    left = ~scores.struck_out
+    if (scores.log_likelihood[left] + log_odds[left] > 0.0).any():
         return None
-    return likelihood.least_tolerance(inference.finite_log_ratio, inference.counts, log_odds)
+    return likelihood.least_tolerance(scores.finite_log_ratio, scores.counts, log_odds)

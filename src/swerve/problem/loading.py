@@ -6,24 +6,21 @@ converted to the types that the target's signature gives them, by annotations or
 
 from __future__ import annotations
 
-import builtins
 import hashlib
 import importlib
 import importlib.util
-import inspect
-import re
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from decimal import Decimal
 from functools import cache
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any, get_args, get_type_hints
+from types import ModuleType
+from typing import Any
 from weakref import WeakKeyDictionary
+
+from swerve.base.specification import Specification, build
 
 SHIPPED = {
     "car": "swerve.systems.car:car",
@@ -31,41 +28,7 @@ SHIPPED = {
     "pendulum": "swerve.systems.pendulum:pendulum",
     "gridworld": "swerve.systems.gridworld:gridworld",
 }
-# 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may well be texts
-PLAIN_NUMBER = re.compile(
-    r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE
-)
 _SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hashes of the files of modules
-
-
-@dataclass(frozen=True)
-class Specification:
-    """A target and the texts of its parameters."""
-
-    target: str
-    parameters: tuple[tuple[str, str], ...]
-
-    @classmethod
-    def parse(cls, text: str) -> Specification:
-        """Split "target?a=1&b=2".
-
-        Raises:
-          ValueError: if a parameter is not of the form name=value, or is given twice.
-        """
-        target, _, query = text.partition("?")
-        parameters: dict[str, str] = {}
-        for item in query.split("&") if query else []:
-            name, equals, value = item.partition("=")
-            if not (name and equals and value):
-                raise ValueError(f"{text!r}: expected name=value after '?', got {item!r}")
-            if name in parameters:
-                raise ValueError(f"{text!r}: parameter {name!r} is given twice")
-            parameters[name] = value
-        return cls(target, tuple(sorted(parameters.items())))
-
-    def __str__(self) -> str:
-        query = "&".join(f"{name}={_canonical(value)}" for name, value in self.parameters)
-        return f"{self.target}?{query}" if query else self.target
 
 
 def canonical_problem(text: str) -> str:
@@ -132,38 +95,6 @@ def load_problem(text: str) -> Any:
         raise ValueError(f"{text!r}: expected a swerve.Problem, got {type(found).__name__}")
     source_hashes(found)  # while the files are still those that were imported
     return found
-
-
-def build(function: Callable[..., Any], specification: Specification, text: str) -> Any:
-    """Call a function or class with a specification's parameters, converted to its types.
-
-    A parameter whose annotation is missing, or names something that exists for type checkers
-    alone, has the type of its default, or else is a text.
-
-    Raises:
-      ValueError: if it takes no such parameter, or a value is not of its type.
-    """
-    known = inspect.signature(function).parameters
-    arguments = {}
-    for name, value in specification.parameters:
-        if name not in known:
-            raise ValueError(
-                f"{text!r}: no parameter {name!r}; there are {', '.join(known) or 'none'}"
-            )
-        try:
-            arguments[name] = _convert(value, function, known[name])
-        except ValueError as error:
-            raise ValueError(f"{text!r}: parameter {name!r}: {error}") from None
-    missing = [
-        name
-        for name, parameter in known.items()
-        if parameter.default is parameter.empty
-        and name not in arguments
-        and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
-    ]
-    if missing:
-        raise ValueError(f"{text!r}: parameters without a value: {', '.join(missing)}")
-    return function(**arguments)
 
 
 def source_hashes(problem: Any) -> dict[str, str]:
@@ -301,93 +232,3 @@ def _search_here() -> None:
     """Look for modules in the current folder first, as `python -m` does."""
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-
-
-def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
-    """Convert a text to the type of a parameter; of several, the first that fits."""
-    hint, remark = _annotation(function, parameter), ""
-    options = (hint,) if hint in list(_CONVERSIONS) else get_args(hint)
-    kinds = [kind for kind in options if kind in list(_CONVERSIONS)]
-    if not kinds:
-        kinds = [kind for kind in (bool, int, float, str) if isinstance(parameter.default, kind)][
-            :1
-        ]
-        remark = f": its default is {parameter.default!r}"
-        if kinds == [int]:
-            remark += ", so annotate it as float if it may have fractions"
-    for kind in kinds or [str]:
-        try:
-            return _CONVERSIONS[kind](value)
-        except ValueError:
-            continue
-    expected = " or ".join(str(kind) if get_args(kind) else kind.__name__ for kind in kinds)
-    raise ValueError(f"expected {expected}, got {value!r}{remark}")
-
-
-def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
-    """Return a parameter's annotation, or None where there is none or it cannot be resolved.
-
-    Each is resolved on its own: one that names what is imported for type checkers alone leaves the
-    others as they are.
-    """
-    if parameter.annotation is parameter.empty:
-        return None
-    holder = SimpleNamespace(__annotations__={"it": parameter.annotation})
-    for namespace in _namespaces(function):
-        try:
-            return get_type_hints(holder, namespace)["it"]
-        except Exception:  # whatever a user's annotation may raise
-            continue
-    return None
-
-
-def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
-    """Return where the names in a signature may be defined; a class inherits its bases' fields."""
-    if isinstance(function, type):
-        return [vars(sys.modules.get(base.__module__, builtins)) for base in function.__mro__]
-    inner = getattr(function, "func", function)  # of functools.partial
-    return [getattr(inspect.unwrap(inner), "__globals__", {})]
-
-
-def _ints(value: str) -> tuple[int, ...]:
-    """Return several numbers; a single one is no tuple."""
-    if "," not in value:
-        raise ValueError
-    return tuple(_int(part) for part in value.split(","))
-
-
-def _floats(value: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in value.split(","))
-
-
-def _bool(value: str) -> bool:
-    if value.lower() not in ("true", "false"):
-        raise ValueError
-    return value.lower() == "true"
-
-
-def _int(value: str) -> int:
-    try:
-        return int(value)
-    except ValueError:
-        number = float(value)  # accepts 2e6
-    if not number.is_integer():
-        raise ValueError
-    return int(number)
-
-
-_CONVERSIONS: dict[Any, Callable[[str], Any]] = {
-    tuple[int, ...]: _ints,
-    tuple[float, ...]: _floats,
-    bool: _bool,
-    int: _int,
-    float: float,
-    str: str,
-}
-
-
-def _canonical(value: str) -> str:
-    if not PLAIN_NUMBER.fullmatch(value):
-        return value
-    number = repr(float(value)).removesuffix(".0")
-    return number if Decimal(number) == Decimal(value) else value

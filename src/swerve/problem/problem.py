@@ -1,41 +1,33 @@
-"""A constraint inference problem, and what stored results need to know of it.
+"""A constraint inference problem: an MDP, hypothesised constraints and a demonstrator's beta.
 
 The nominal distribution of the problem is
 
-    pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0,
+    pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0
 
-over trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
+over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
 m = A^-length ("uniform"). A hypothesis c restricts it further:
 pi_c = m exp(beta R) 1[avoids c] / Z_c.
-
-`Problem` holds the model, which needs JAX; `ProblemRecord` is the rest of it as plain data, stored
-with every result, so that inference needs neither JAX nor user code.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from swerve.base.arguments import positive_number
-from swerve.base.space import StateSpace, Transitions
 from swerve.constraints.base import Constraint, check_constraints
 from swerve.constraints.boxes import ActionBox
 from swerve.constraints.state_action import StateAction
-from swerve.constraints.stored import constraint_from_json
-from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet, hypotheses_from_json
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
+from swerve.problem.mdp import MDP, check_mdp
+from swerve.problem.record import MEASURES, ProblemRecord, digest
 
-if TYPE_CHECKING:
-    from swerve.problem.mdp import MDP
-
-MEASURES = ("uniform", "counting")
 OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # a file that is moved is the same problem
 
 
@@ -74,8 +66,6 @@ class Problem:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        from swerve.problem.mdp import MDP, check_mdp
-
         if not isinstance(self.mdp, MDP):
             raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
         check_mdp(self.mdp)
@@ -96,8 +86,6 @@ class Problem:
     @property
     def record(self) -> ProblemRecord:
         """The problem as plain data."""
-        from swerve.problem.mdp import MDP
-
         return ProblemRecord(
             name=_mdp_name(self.mdp),
             space=self.mdp.space,
@@ -137,87 +125,6 @@ def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
                 )
 
 
-@dataclass(frozen=True, eq=False)
-class ProblemRecord:
-    """Everything about a problem except how to run its dynamics.
-
-    Attributes:
-      name: the MDP and its parameters, for people.
-      goal_is_last_state: whether `MDP.goal_of` is the default one.
-      mdp_digest: hash of the MDP's class name, parameters and actions.
-      transitions: of a tabular MDP; None for others.
-      Others: as in `Problem` and `MDP`.
-    """
-
-    name: str
-    space: StateSpace
-    action_names: tuple[str, ...]
-    goal_names: tuple[str, ...]
-    goal_is_last_state: bool
-    num_actions: int
-    num_steps: int
-    dt: float
-    hypotheses: HypothesisSet
-    known: tuple[Constraint, ...]
-    beta: float
-    measure: str
-    between_states: bool
-    mdp_digest: str
-    transitions: Transitions | None = None
-
-    @property
-    def needs_code(self) -> bool:
-        """Whether judging a demonstration needs functions that no file can hold."""
-        return self.hypotheses.needs_code or any(c.needs_code for c in self.known)
-
-    @property
-    def fingerprint(self) -> str:
-        """A hash that differs between problems: of the model, hypotheses, and all settings."""
-        return _digest(json.dumps(self.to_json()))  # unsorted: the order of a grid's axes counts
-
-    @property
-    def summary(self) -> str:
-        """One line for people: the model and the settings that results depend on."""
-        known = f", known: {'; '.join(c.name for c in self.known)}" if self.known else ""
-        judged = "states and segments between them" if self.between_states else "states alone"
-        return (
-            f"{self.name}, beta {self.beta:g}, {self.measure} measure, "
-            f"{len(self.hypotheses)} hypotheses judged at {judged}{known}"
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data."""
-        data = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return data | {
-            "space": self.space.to_json(),
-            "hypotheses": self.hypotheses.to_json(),
-            "known": [constraint.to_json() for constraint in self.known],
-            "action_names": list(self.action_names),
-            "goal_names": list(self.goal_names),
-            "transitions": self.transitions
-            and [np.asarray(values).tolist() for values in self.transitions],
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> ProblemRecord:
-        """Rebuild a record from `to_json` data."""
-        return cls(
-            **data
-            | {
-                "space": StateSpace.from_json(data["space"]),
-                "hypotheses": hypotheses_from_json(data["hypotheses"]),
-                "known": tuple(constraint_from_json(item) for item in data["known"]),
-                "action_names": tuple(data["action_names"]),
-                "goal_names": tuple(data["goal_names"]),
-                "transitions": data["transitions"] and _transitions(*data["transitions"]),
-            }
-        )
-
-
-def _transitions(shape: list, successors: list, actions: list) -> Transitions:
-    return Transitions(tuple(shape), np.array(successors), np.array(actions))
-
-
 def _mdp_name(mdp: MDP) -> str:
     """Return for example 'Pendulum(max_torque=10.0, num_torques=5)': the scalar parameters."""
     parameters = [
@@ -231,8 +138,6 @@ def _mdp_name(mdp: MDP) -> str:
 
 def _mdp_digest(mdp: MDP) -> str:
     """Hash an MDP's class, its parameters and everything that `MDP` says of it as data."""
-    import jax
-
     leaves, _ = jax.tree_util.tree_flatten_with_path(mdp)
     module = re.sub(OF_A_FILE, r"\1", type(mdp).__module__)
     parts = [f"{module}.{type(mdp).__qualname__}", _mdp_name(mdp)]
@@ -245,7 +150,7 @@ def _mdp_digest(mdp: MDP) -> str:
         parts.append(array.tobytes().hex())
     parts += _static_fields(mdp, "")
     parts.append(np.asarray(mdp.actions, np.float64).tobytes().hex())
-    return _digest("\n".join(parts))
+    return digest("\n".join(parts))
 
 
 def _static_fields(module: Any, path: str) -> list[str]:
@@ -258,7 +163,3 @@ def _static_fields(module: Any, path: str) -> list[str]:
         elif dataclasses.is_dataclass(value):
             parts += _static_fields(value, where)
     return parts
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()

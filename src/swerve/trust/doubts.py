@@ -9,51 +9,44 @@ Shapes: n state dimensions.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swerve.base.phrases import some_names
 from swerve.constraints.base import violates
+from swerve.demonstrations.checks import COARSE, FAST, JITTER, TIME_SLACK
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
-from swerve.presentation import sentences as wording
-from swerve.trust import verdicts as trust
-from swerve.trust.verdicts import some_names
-
-if TYPE_CHECKING:
-    from swerve.inference.ranking import Inference
+from swerve.inference.ranking import Ranking
+from swerve.trust import verdicts
 
 FAR_END = 0.05  # of the extent: within it of its goal a demonstration has arrived
 FACTOR = 2.0  # beyond nominal trajectories in where it ends
-FAST = 3.0  # times the fastest nominal change of a state
-JITTER = 0.01  # of the extent: two measurements of one state may differ by so much
 FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single steps fast
-TIME_SLACK = 0.1  # of the duration
-COARSE = 1.5  # of the model's steps, between two states of a demonstration
 TABLED = "Discrete("  # the solver that makes a table of continuous dynamics
 
 
-def warnings(inference: Inference) -> tuple[str, ...]:
+def warnings(inference: Ranking) -> tuple[str, ...]:
     """Return what speaks against trusting the ranking; empty if nothing does."""
     return (
         *_exhausted(inference),
         *_left_out(inference),
         *_impossible(inference),
         *_of_samples(inference),
-        *(() if inference.evidence.is_exact else trust.hardly_avoided(inference)),
+        *(() if inference.evidence.is_exact else verdicts.hardly_avoided(inference)),
         *_grazed(inference),
         *_doubts(inference),
     )
 
 
-def data_warnings(inference: Inference) -> tuple[str, ...]:
+def data_warnings(inference: Ranking) -> tuple[str, ...]:
     """Return what speaks against samples and demonstrations, whatever they are used for."""
     return (*_of_samples(inference), *_doubts(inference))
 
 
-def _of_samples(inference: Inference) -> Iterator[str]:
+def _of_samples(inference: Ranking) -> Iterator[str]:
     is_exact = inference.evidence.is_exact
-    return _tabled(inference) if is_exact else trust.warnings(inference)
+    return _tabled(inference) if is_exact else verdicts.warnings(inference)
 
 
 def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
@@ -159,7 +152,7 @@ def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
     )
 
 
-def _doubts(inference: Inference) -> Iterator[str]:
+def _doubts(inference: Ranking) -> Iterator[str]:
     """Yield each kind of doubt once, with the demonstrations that it is about."""
     found: dict[str, list[tuple[str, str]]] = {}
     for demonstration, task in zip(inference.demonstrations, inference.task_of, strict=True):
@@ -173,7 +166,7 @@ def _doubts(inference: Inference) -> Iterator[str]:
         yield f"{name} {text}{also}"
 
 
-def _again(inference: Inference) -> Iterator[str]:
+def _again(inference: Ranking) -> Iterator[str]:
     """Yield which demonstrations are there more than once."""
     found: dict[tuple[bytes, ...], list[str]] = {}
     for item in inference.demonstrations:
@@ -187,7 +180,7 @@ def _again(inference: Inference) -> Iterator[str]:
             )
 
 
-def _grazed(inference: Inference) -> Iterator[str]:
+def _grazed(inference: Ranking) -> Iterator[str]:
     """Yield that a margin speaks for the hypothesis that comes first."""
     problem = inference.evidence.problem
     if inference.judged is problem.hypotheses or not len(inference.ranking):
@@ -210,7 +203,7 @@ def _grazed(inference: Inference) -> Iterator[str]:
         )
 
 
-def _exhausted(inference: Inference) -> Iterator[str]:
+def _exhausted(inference: Ranking) -> Iterator[str]:
     if not len(inference.ranking) and inference.demonstrations:
         entered = inference.entered.sum(axis=1)
         yield (
@@ -218,11 +211,11 @@ def _exhausted(inference: Inference) -> Iterator[str]:
             f"least one demonstration ({inference.demonstrations[int(entered.argmax())].name} "
             f"alone enters {entered.max()}). There is no constraint, or it is not among the "
             "hypotheses, or the demonstrations are not of this problem"
-            f"{wording.tolerable(inference)}"
+            f"{tolerable(inference)}"
         )
 
 
-def _left_out(inference: Inference) -> Iterator[str]:
+def _left_out(inference: Ranking) -> Iterator[str]:
     """Yield of which hypotheses no demonstration tells, for being too near the ends of tasks."""
     num = np.count_nonzero(~inference.is_used.any(axis=0))
     if num:
@@ -233,7 +226,7 @@ def _left_out(inference: Inference) -> Iterator[str]:
         )
 
 
-def _impossible(inference: Inference) -> Iterator[str]:
+def _impossible(inference: Ranking) -> Iterator[str]:
     """Yield which hypotheses forbid everything."""
     found = np.flatnonzero(inference.impossible & ~inference.entered.any(axis=0))
     if len(found):
@@ -244,17 +237,28 @@ def _impossible(inference: Inference) -> Iterator[str]:
         )
 
 
-def _or_coarse(inference: Inference) -> str:
+def _or_coarse(inference: Ranking) -> str:
     """Return what else it may be where cells are judged at their centres."""
     if not inference.evidence.solver.startswith(TABLED):
         return ""
     return "; or it starts near an edge, and cells are too wide: give it more num_cells"
 
 
-def _tabled(inference: Inference) -> Iterator[str]:
+def _tabled(inference: Ranking) -> Iterator[str]:
     """Yield that a table of continuous dynamics is not the dynamics."""
     if inference.evidence.solver.startswith(TABLED):
         yield (
             "answers are exact for a table of cells, not for the dynamics: how far off they are is "
             "not known. See whether they change with num_cells and hold"
         )
+
+
+def tolerable(inference: Ranking) -> str:
+    """Return with which tolerance something would be left where all is struck out."""
+    tolerance = inference.least_tolerance
+    if tolerance is None:
+        return "; no tolerance makes any of them more probable than no constraint"
+    return (
+        f"; with a tolerance of about {tolerance:.2g} or more, some demonstrations ignoring it, "
+        "one would be more probable than no constraint"
+    )

@@ -17,14 +17,15 @@ Shapes: K tasks.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
+from swerve.base.phrases import NUM_NAMES, some_names
 from swerve.evidence.estimators import LOW_ESS
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import RESAMPLED, TEMPERED
-from swerve.inference.ranking import TIE_ERRORS, Inference
+from swerve.inference.ranking import TIE_ERRORS, Ranking
 
 HIGH_KL = {  # nats, between policy and pi_0
     "smc": math.inf,
@@ -44,18 +45,10 @@ NUM_ERRORS = 3.0  # standard errors on top
 GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
 NUM_SETTLED = 3  # first hypotheses whose order is to be told
 MOST_SAMPLES = 10_000_000  # beyond, sampling will not tell
-NUM_NAMES = 3  # demonstrations named in a warning
 FAR_BEHIND = 7.0  # nats, errors taken off: a thousand times less likely than the first
 
 
-def some_names(names: Sequence[str]) -> str:
-    """Return for example 'demo_1, demo_2, demo_3 and 30 more'."""
-    shown = ", ".join(names[:NUM_NAMES])
-    more = len(names) - NUM_NAMES
-    return f"{shown} and {more} more" if more > 0 else shown
-
-
-def warnings(inference: Inference) -> Iterator[str]:
+def warnings(inference: Ranking) -> Iterator[str]:
     """Yield what speaks against the samples, each kind once."""
     yield from _too_few(inference)
     yield from _apart(inference)
@@ -64,7 +57,7 @@ def warnings(inference: Inference) -> Iterator[str]:
     yield from _wrong_value(inference)
 
 
-def verdict(inference: Inference, task: int) -> str:
+def verdict(inference: Ranking, task: int) -> str:
     """Return how far the samples of a task can be trusted, in a few words."""
     evidence = inference.evidence
     if evidence.is_exact:
@@ -94,7 +87,7 @@ def verdict(inference: Inference, task: int) -> str:
     return f"{text}: raise --samples to about {_round_up(needed.max()):,}"
 
 
-def summary(inference: Inference) -> str:
+def summary(inference: Ranking) -> str:
     """Return the verdicts of all tasks that are used, in a few lines."""
     tasks = np.flatnonzero(inference.task_counts).tolist()
     texts = {task: verdict(inference, task) for task in tasks}
@@ -110,7 +103,7 @@ def summary(inference: Inference) -> str:
     return "\n".join(lines)
 
 
-def _samples_needed(inference: Inference, task: int) -> np.ndarray:
+def _samples_needed(inference: Ranking, task: int) -> np.ndarray:
     """Return N_k of the module's formula for each gap between the first few.
 
     Infinite where a score hangs on a number that more samples do not change. Hypotheses that
@@ -137,7 +130,7 @@ def _round_up(number: float) -> int:
     return unit * math.ceil(number / unit)
 
 
-def is_untrusted(inference: Inference) -> bool:
+def is_untrusted(inference: Ranking) -> bool:
     """Return whether the samples of a task that is used are not to be trusted at all."""
     if inference.evidence.is_exact:
         return False
@@ -153,24 +146,24 @@ def is_too_hot(evidence: Evidence) -> bool:
     return evidence.problem.beta < HOTTEST * evidence.sampling_beta
 
 
-def _has_too_few(inference: Inference) -> np.ndarray:
+def _has_too_few(inference: Ranking) -> np.ndarray:
     """Return [K] whether a task that is used has too few effective samples."""
     return inference.evidence.has_too_few & (inference.task_counts > 0)
 
 
-def _is_apart(inference: Inference) -> np.ndarray:
+def _is_apart(inference: Ranking) -> np.ndarray:
     """Return [K] whether independent parts of a task's samples disagree on log Z_0."""
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     return used & (inference.evidence.island_spread > HIGH_SPREAD)
 
 
-def _is_far(inference: Inference) -> np.ndarray:
+def _is_far(inference: Ranking) -> np.ndarray:
     """Return [K] whether the policy of a task is too far from pi_0."""
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     return used & (inference.evidence.kl > HIGH_KL[inference.evidence.method])
 
 
-def _value_gap(inference: Inference) -> np.ndarray:
+def _value_gap(inference: Ranking) -> np.ndarray:
     """Return [K] by how much more the solver's log Z_0 and its samples' differ than they may.
 
     Weights account for -log(ESS / N): where that share of trajectories survives a wall, say. For
@@ -189,7 +182,7 @@ def _value_gap(inference: Inference) -> np.ndarray:
     return np.where(used & (gap > 0.0), gap, 0.0)
 
 
-def _too_few(inference: Inference) -> Iterator[str]:
+def _too_few(inference: Ranking) -> Iterator[str]:
     evidence, used, low = inference.evidence, inference.task_counts > 0, _has_too_few(inference)
     ess, num = evidence.effective_sample_size, evidence.num_trajectories
     if low.any():
@@ -201,7 +194,7 @@ def _too_few(inference: Inference) -> Iterator[str]:
         )
 
 
-def _apart(inference: Inference) -> Iterator[str]:
+def _apart(inference: Ranking) -> Iterator[str]:
     evidence, apart = inference.evidence, _is_apart(inference)
     if apart.any():
         worst = int(np.where(apart, evidence.island_spread, 0.0).argmax())
@@ -213,7 +206,7 @@ def _apart(inference: Inference) -> Iterator[str]:
         )
 
 
-def _too_hot(inference: Inference) -> Iterator[str]:
+def _too_hot(inference: Ranking) -> Iterator[str]:
     if is_too_hot(inference.evidence):
         yield (
             "errors may be larger than stated: what is common at a beta less than half of that "
@@ -221,7 +214,7 @@ def _too_hot(inference: Inference) -> Iterator[str]:
         )
 
 
-def _far_policy(inference: Inference) -> Iterator[str]:
+def _far_policy(inference: Ranking) -> Iterator[str]:
     """Yield that standard errors say nothing of what a policy far from pi_0 hardly ever does."""
     evidence, far = inference.evidence, _is_far(inference)
     if far.any():
@@ -237,7 +230,7 @@ def _far_policy(inference: Inference) -> Iterator[str]:
         )
 
 
-def _wrong_value(inference: Inference) -> Iterator[str]:
+def _wrong_value(inference: Ranking) -> Iterator[str]:
     """Yield that the solver's own log Z_0 is not what its samples say."""
     evidence, gap = inference.evidence, _value_gap(inference)
     if gap.any():
@@ -283,7 +276,7 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
     )
 
 
-def hardly_avoided(inference: Inference) -> Iterator[str]:
+def hardly_avoided(inference: Ranking) -> Iterator[str]:
     """Yield what scores hang on where next to no nominal trajectory avoids a hypothesis."""
     evidence, ranking = inference.evidence, inference.ranking
     used = ((inference.task_counts > 0) & ~_has_too_few(inference))[:, None]

@@ -1,0 +1,158 @@
+"""Infer which constraint demonstrations obey, and say so.
+
+An `Inference` is a ranking (numbers, see `inference.ranking`) that can say, list, draw and report
+itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.inference.greedy import Pick
+from swerve.inference.posterior import Prior
+from swerve.inference.ranking import Ranking
+
+TABLE_ROWS = 10  # hypotheses in a table unless told otherwise
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Inference(Ranking):
+    """A ranking of hypotheses that can say, list, draw and report itself.
+
+    Attributes:
+      evidence: violation probabilities of the hypotheses, task by task.
+      demonstrations: the D demonstrations.
+      task_of: [D] index of each demonstration's task in the evidence.
+      entered: [D, H] True where a demonstration enters a hypothesis.
+      score_name: "likelihood" or "average".
+      is_counted: [K, H] False where a task says nothing of a hypothesis near its start or goal.
+      tolerance: eps, the probability that a demonstration ignores the constraint.
+      prior: [H + 1] probabilities before the demonstrations, that of no constraint first.
+      judged: what demonstrations are held against: the hypotheses, less a margin for noise.
+    """
+
+    def __repr__(self) -> str:
+        """Return the answer in one line."""
+        return f"<Inference: {self.headline}>"
+
+    @property
+    def headline(self) -> str:
+        """The answer in a plain sentence."""
+        from swerve.presentation import sentences
+
+        return sentences.sentence(self)
+
+    @property
+    def belief(self) -> str:
+        """The posterior in a plain sentence."""
+        from swerve.presentation import sentences
+
+        return sentences.belief(self)
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against trusting the ranking, in plain words; empty if nothing does."""
+        from swerve.trust import doubts
+
+        return doubts.warnings(self)
+
+    def verdict(self, task: int) -> str:
+        """Return how far the samples of a task can be trusted, for example 'settled'."""
+        from swerve.trust import verdicts
+
+        return verdicts.verdict(self, task)
+
+    def verdicts(self) -> str:
+        """Return how far the samples of all tasks can be trusted, in a few lines."""
+        from swerve.trust import verdicts
+
+        return verdicts.summary(self)
+
+    def table(self, num_rows: int = TABLE_ROWS) -> str:
+        """Return the head of the ranking as text."""
+        from swerve.presentation import text_tables
+
+        return text_tables.table(self, num_rows)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the ranking, the posterior and diagnostics of each task used, as JSON data."""
+        from swerve.presentation import text_tables
+
+        return text_tables.to_json(self)
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw the hypotheses shaded by score, nominal trajectories and demonstrations.
+
+        Args:
+          path: a file to write (its suffix tells the format), or None.
+
+        Returns:
+          The matplotlib Figure.
+        """
+        from swerve.presentation.plots import plot_inference
+
+        return plot_inference(self, path)
+
+    def report(self, path: str | Path, picks: Sequence[Pick] | None = None) -> None:
+        """Write one self-contained HTML page with the picture, the table and the diagnostics.
+
+        Args:
+          path: the file.
+          picks: what `swerve.greedy` picked, if that is to be reported as well.
+        """
+        from swerve.presentation.report import write_report
+
+        write_report(self, path, picks)
+
+
+def infer(
+    evidence: Evidence,
+    demonstrations: Sequence[Demonstration] = (),
+    *,
+    score: str = "likelihood",
+    prior: Prior = None,
+    tolerance: float = 0.0,
+    margin: Mapping[str, float] | None = None,
+    clearance: float | None = None,
+) -> Inference:
+    """Rank the hypotheses by how well they explain the demonstrations.
+
+    Args:
+      evidence: violation probabilities for the tasks of all demonstrations.
+      demonstrations: finished ones; with none, the ranking is the prior one (Theorem 1: what the
+        nominal distribution enters most often comes first) over all tasks of the evidence.
+      score: "likelihood", or "average": the paper's average violation probability.
+      prior: [H + 1] probabilities, that of no constraint first; or that of no constraint alone, the
+        rest shared alike; 1/2 if None.
+      tolerance: eps, the probability with which a demonstration ignores the constraint, so that one
+        stray track does not veto the truth; 0 is the paper's.
+      margin: for states measured with noise, how deep inside a hypothesis, in the state's unit, a
+        demonstration must be to have entered it. Nominal trajectories are judged as they are, so
+        what demonstrations graze seems more probable than it is: as small as the noise, then. A
+        hypothesis that an end of a task grazes, lying in it but not as deep, is left out for it.
+      clearance: leave a hypothesis out for tasks that start or end within this distance of it, in
+        the units of the states that it names: nobody enters it there, constraint or not. Goals
+        count where they are states.
+
+    Returns:
+      The ranking and the posterior.
+
+    Raises:
+      ValueError: if an argument is of the wrong kind or out of range, a demonstration has no
+        evidence for its task, or it does not fit the problem.
+    """
+    return Inference.of(
+        evidence,
+        demonstrations,
+        score=score,
+        prior=prior,
+        tolerance=tolerance,
+        margin=margin,
+        clearance=clearance,
+    )

@@ -1,0 +1,73 @@
+"""Turn numbers and names into short pieces of text, the same everywhere.
+
+value ± standard error,    to the first digit of the error
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Sequence
+
+LEAST_PERCENT = 5e-4  # probability: smaller ones are given as powers of ten, not in per cent
+NUM_NAMES = 3  # names given before the rest are counted
+
+
+def some_names(names: Sequence[str]) -> str:
+    """Return the first names and how many more there are: 'demo_1, demo_2, demo_3 and 30 more'."""
+    shown = ", ".join(names[:NUM_NAMES])
+    more = len(names) - NUM_NAMES
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+def times(nats: float) -> str:
+    """Return e^nats to two digits; a power of ten where e^nats is large or small."""
+    if not -math.log(1e4) < nats <= math.log(1e9):
+        return f"10^{nats / math.log(10):.0f}" if math.isfinite(nats) else "0"
+    value = float(f"{math.exp(nats):.1e}")
+    return f"{value:,.0f}" if value >= 10 else f"{value:g}"
+
+
+def probability(value: float, error: float) -> str:
+    """Return a probability with its standard error: '97.2 ± 0.4 %', or '2e-06' if tiny."""
+    if value + error < LEAST_PERCENT:
+        return f"{value:.0e}" if value > 0.0 else "0"
+    if error < LEAST_PERCENT:
+        return f"{100.0 * value:.3g} %"
+    return f"{measured(100.0 * value, 100.0 * error)} %"
+
+
+def measured(value: float, error: float) -> str:
+    """Return a value to the first digit of its error: '13.4 ± 0.1'; '13.42' if the error is 0."""
+    if error == 0.0:
+        return f"{value:.2f}"
+    digits = 4 if error < 1e-4 else max(0, -math.floor(math.log10(float(f"{error:.0e}"))))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: '1 task' or '1,200 tasks'."""
+    return f"{number:,} {noun if number == 1 else plural(noun)}"
+
+
+def plural(noun: str) -> str:
+    """Return the plural of a noun: 'tasks', 'hypotheses'."""
+    return f"{noun[:-2]}es" if noun.endswith("is") else f"{noun}s"
+
+
+def cut(text: str, length: int) -> str:
+    """Return text on one line of at most `length` characters."""
+    text = " ".join(text.split())
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+def ended(text: str) -> str:
+    """Return text with a full stop, unless it ends in a question mark or was cut."""
+    return text if text.endswith(("?", "…")) else f"{text}."
+
+
+def wrapped(text: str, width: float, size: float) -> str:
+    """Return text of a font size [pt] in lines of a width [in], with no break inside a value."""
+    text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)
+    return textwrap.fill(text, int(width * 72 / (0.6 * size)))

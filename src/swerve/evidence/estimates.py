@@ -1,0 +1,221 @@
+"""The estimates of evidence: violation probabilities and how far they can be trusted.
+
+    log_ratio[task, c] = log(Z_c / Z_0) = log P_{xi ~ pi_0}(xi avoids c)    (the paper, Theorem 1)
+
+Shapes: K tasks, N trajectories, H hypotheses, I islands, n states, g goal dimensions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from swerve.base.space import Task
+from swerve.evidence import estimators
+from swerve.evidence.samples import EXACT, Samples, Summary, log_weights, weights_used
+from swerve.problem.record import ProblemRecord
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
+
+    Attributes:
+      problem: what the estimates are of.
+      tasks: starts [K, n] and goals [K, g].
+      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal,
+        and at another beta those of its Theorem 2), or "exact": then the estimates are no
+        estimates, and the trajectories are there for pictures alone.
+      num_trajectories: N a task.
+      solver: the solver and its settings, for people.
+      seed: of the sampling.
+      summary: the estimates.
+      sampling_beta: the beta that the trajectories were drawn for; that of the problem unless
+        given.
+    """
+
+    problem: ProblemRecord
+    tasks: Task
+    method: str
+    num_trajectories: int
+    solver: str
+    seed: int
+    summary: Summary
+    load_samples: Callable[[], Samples] = dataclasses.field(repr=False)
+    sampling_beta: float = None  # pyright: ignore[reportAssignmentType]  # set below
+
+    def __post_init__(self) -> None:
+        if self.sampling_beta is None:
+            object.__setattr__(self, "sampling_beta", self.problem.beta)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The trajectories, reduced; read from the file on first use."""
+        return self.load_samples()
+
+    @property
+    def num_tasks(self) -> int:
+        """K."""
+        return len(self.tasks.start)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the solver gave answers without sampling."""
+        return self.method == EXACT
+
+    @property
+    def is_of_other_beta(self) -> bool:
+        """Whether the trajectories were drawn for another beta than they are weighed for."""
+        return self.sampling_beta != self.problem.beta
+
+    @property
+    def violation_probability(self) -> np.ndarray:
+        """[K, H] probability that a nominal trajectory enters each hypothesis, 1 - Z_c / Z_0."""
+        return 1.0 - self.summary.avoid_probability
+
+    @property
+    def resolution(self) -> np.ndarray:
+        """[K] the least probability that the samples resolve: one trajectory's share.
+
+        1 / N for equal weights, 1 / ESS for importance weights; 0 where answers are exact.
+        """
+        if self.is_exact:
+            return np.zeros(self.num_tasks)
+        if self._weighs_alike:
+            return np.full(self.num_tasks, 1.0 / self.num_trajectories)
+        return 1.0 / self.effective_sample_size
+
+    @property
+    def has_too_few(self) -> np.ndarray:
+        """[K] True where the effective sample size is too low for anything to be trusted."""
+        return self.effective_sample_size < estimators.least_effective(self.num_trajectories)
+
+    @property
+    def is_floored(self) -> np.ndarray:
+        """[K, H] True where less than one trajectory's share avoids a hypothesis.
+
+        The samples then only say that the ratio is small: its log is given as that of the share.
+        """
+        return (self.summary.avoid_probability < self.resolution[:, None]) & ~self.is_resolved
+
+    @property
+    def log_ratio(self) -> np.ndarray:
+        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution); -inf where it is exactly 0."""
+        return self._estimate.value
+
+    @property
+    def standard_error(self) -> np.ndarray:
+        """[K, H] standard error of `log_ratio` in nats (delta method).
+
+        At least `resolution`, what one more trajectory could change; 1 where the ratio is floored;
+        0 where answers are exact.
+        """
+        return self._estimate.standard_error
+
+    @cached_property
+    def _estimate(self) -> estimators.LogRatio:
+        summary = self.summary
+        if self.is_exact:
+            return estimators.LogRatio(summary.log_ratio, summary.log_ratio_error)
+        estimate = estimators.Estimate(summary.avoid_probability, summary.avoid_variance)
+        sampled = estimators.log_ratio(estimate, self.resolution)
+        known, error = self.is_resolved, summary.log_ratio_error
+        return estimators.LogRatio(
+            np.where(known, summary.log_ratio, sampled.value),
+            np.where(known, error, sampled.standard_error),
+        )
+
+    @property
+    def is_resolved(self) -> np.ndarray:
+        """[K, H] True where the ratio was worked out with the constraint in force, or is exact."""
+        return np.isfinite(self.summary.log_ratio_error)
+
+    @property
+    def log_partition(self) -> np.ndarray:
+        """[K] log Z_0, nats."""
+        return self.summary.log_partition
+
+    @property
+    def kl(self) -> np.ndarray:
+        """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
+
+        For "smc" and "tempered" it is KL(pi_0 || pi), since their trajectories are those of pi_0.
+        After `at_beta` pi is still the policy that drew them and pi_0 that of the new beta, which
+        it was not made for; for "plain" it stays that of `sampling_beta`, which its weights take pi
+        for.
+        """
+        return self.summary.kl
+
+    @property
+    def soft_value(self) -> np.ndarray:
+        """[K] log Z_0 by the solver's own soft value, nats; NaN without one of this beta."""
+        return self.summary.soft_value
+
+    @property
+    def effective_sample_size(self) -> np.ndarray:
+        """[K] effective sample size of the importance weights, whatever the method.
+
+        With method "plain" all N are weighed alike, and this says how far they can be trusted; at
+        another beta than they were drawn for, it is that of its own weights where that is less.
+        """
+        return self.summary.effective_sample_size
+
+    @property
+    def distinct_share(self) -> np.ndarray:
+        """[K] share of the trajectories at the start that resampling has left; 1 without."""
+        return self.summary.distinct_share
+
+    @property
+    def island_log_partition(self) -> np.ndarray:
+        """[K, I] log Z_0 by each of I parts of the samples that are independent, nats."""
+        return self.summary.island_log_partition
+
+    @property
+    def island_spread(self) -> np.ndarray:
+        """[K] standard deviation of these, nats; infinite where nothing of an island is left."""
+        log_partition = self.island_log_partition
+        is_lost = np.isneginf(log_partition)
+        spread = np.where(is_lost, 0.0, log_partition).std(axis=1)
+        return np.where(is_lost.any(axis=1), np.inf, spread)
+
+    @property
+    def log_partition_error(self) -> np.ndarray:
+        """[K] standard error of `log_partition` by how far islands agree, nats."""
+        return self.island_spread / math.sqrt(self.island_log_partition.shape[1])
+
+    @cached_property
+    def log_weight(self) -> np.ndarray:
+        """[K, N] log-weights that `method` uses, nats; for "plain" (beta - sampling_beta) R."""
+        return weights_used(self.problem, self.samples, self.method, self.sampling_beta)
+
+    @property
+    def importance_log_weight(self) -> np.ndarray:
+        """[K, N] l = beta R + log m - log pi, with what resampling adds to it, nats."""
+        return log_weights(self.problem, self.samples) + self.samples.log_correction
+
+    def hoeffding_error(self, confidence: float = 0.95) -> float:
+        """Return the bound on each probability's error (the paper, III-C.2); equal weights only.
+
+        It holds for what the policy does, not for how far the policy is from pi_0.
+
+        Raises:
+          ValueError: if the weights are not equal.
+        """
+        if not self._weighs_alike:
+            made = f"by {self.method!r}"
+            if self.is_of_other_beta:
+                made += f" at beta {self.sampling_beta:g}, not {self.problem.beta:g}"
+            raise ValueError(
+                f"Hoeffding's bound needs equal weights (method 'plain'), this evidence was made "
+                f"{made}: use standard_error"
+            )
+        return estimators.hoeffding_error(self.num_trajectories, confidence)
+
+    @property
+    def _weighs_alike(self) -> bool:
+        return self.method == "plain" and not self.is_of_other_beta

@@ -1,0 +1,174 @@
+"""What demonstrations say of each hypothesis: log-likelihood ratios and their standard errors.
+
+Demonstrations that all avoid c have, against no constraint at all, the log-likelihood ratio
+
+    log L(c) = - sum_i log(Z_c / Z_0)(task_i) >= 0 nats.
+
+A demonstration that enters c rules c out, unless demonstrations may ignore the constraint now and
+then (see `likelihood`).
+
+Shapes: D demonstrations, K tasks, H hypotheses.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.base import HypothesisSet
+from swerve.inference import likelihood
+
+FEW_AVOID = 0.5  # nats: standard error of a ratio that fewer than four trajectories tell
+SETTLED = 0.09  # nats: standard error of a ratio that was sampled with its constraint in force
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """How well each hypothesis explains the demonstrations.
+
+    Attributes:
+      evidence: violation probabilities of the hypotheses, task by task.
+      demonstrations: the D demonstrations.
+      task_of: [D] index of each demonstration's task in the evidence.
+      entered: [D, H] True where a demonstration enters a hypothesis.
+      score_name: "likelihood" or "average".
+      is_counted: [K, H] False where a task says nothing of a hypothesis near its start or goal.
+      tolerance: eps, the probability that a demonstration ignores the constraint.
+      prior: [H + 1] probabilities before the demonstrations, that of no constraint first.
+      judged: what demonstrations are held against: the hypotheses, less a margin for noise.
+    """
+
+    evidence: Evidence
+    demonstrations: tuple[Demonstration, ...]
+    task_of: np.ndarray
+    entered: np.ndarray
+    score_name: str
+    is_counted: np.ndarray
+    tolerance: float
+    prior: np.ndarray
+    judged: HypothesisSet
+
+    @cached_property
+    def task_counts(self) -> np.ndarray:
+        """[K] demonstrations of each task; all 1 where there are none (the prior ranking)."""
+        if not self.demonstrations:
+            return np.ones(self.evidence.num_tasks, int)
+        return np.bincount(self.task_of, minlength=self.evidence.num_tasks)
+
+    @cached_property
+    def counts(self) -> likelihood.Counts:
+        """[K, H] how many demonstrations avoid and enter each hypothesis, where they count."""
+        entering = np.zeros(self.is_counted.shape)
+        np.add.at(entering, self.task_of, self.entered.astype(float))
+        avoiding = self.task_counts[:, None] - entering
+        return likelihood.Counts(avoiding * self.is_counted, entering * self.is_counted)
+
+    @cached_property
+    def is_used(self) -> np.ndarray:
+        """[K, H] True where demonstrations of a task count for or against a hypothesis."""
+        return (self.task_counts[:, None] > 0) & self.is_counted
+
+    @cached_property
+    def impossible(self) -> np.ndarray:
+        """[H] True where, by exact evidence, no trajectory of one of the tasks avoids it."""
+        if not self.evidence.is_exact:
+            return np.zeros(len(self.prior) - 1, bool)
+        return np.asarray((np.isneginf(self.evidence.log_ratio) & self.is_used).any(axis=0))
+
+    @cached_property
+    def struck_out(self) -> np.ndarray:
+        """[H] True where a demonstration enters the hypothesis, or no trajectory can avoid it.
+
+        With a tolerance above 0 no demonstration rules a hypothesis out.
+        """
+        if self.tolerance > 0.0:
+            return self.impossible
+        return np.asarray((self.counts.entering > 0).any(axis=0)) | self.impossible
+
+    @cached_property
+    def log_likelihood(self) -> np.ndarray:
+        """[H] log-likelihood ratio against no constraint [nats]; -inf where struck out."""
+        value = likelihood.log_likelihood(self.finite_log_ratio, self.counts, self.tolerance)
+        return np.where(self.struck_out, -np.inf, value)
+
+    @cached_property
+    def contributions(self) -> np.ndarray:
+        """[D, H] what each demonstration adds to `log_likelihood` [nats]; -inf: rules out."""
+        avoiding = likelihood.avoiding_term(self.finite_log_ratio, self.tolerance)[self.task_of]
+        entering = math.log(self.tolerance) if self.tolerance > 0.0 else -np.inf
+        added = np.where(self.entered, entering, avoiding)
+        return np.where(self.is_counted[self.task_of], added, 0.0)
+
+    @cached_property
+    def finite_log_ratio(self) -> np.ndarray:
+        """[K, H] log Z_c / Z_0, nats; 0 where no demonstration uses a ratio, finite or not."""
+        return np.where(self.is_used & ~self.impossible, self.evidence.log_ratio, 0.0)
+
+    @cached_property
+    def sensitivity(self) -> np.ndarray:
+        """[K, H] by how much `log_likelihood` falls as log Z_c / Z_0 of a task rises."""
+        slope = likelihood.sensitivity(self.finite_log_ratio, self.tolerance)
+        return np.where(self.struck_out, 0.0, self.counts.avoiding * slope)
+
+    @cached_property
+    def standard_error(self) -> np.ndarray:
+        """[H] standard error of `log_likelihood` [nats]; tasks are sampled independently."""
+        return np.sqrt((self.sensitivity**2 * self.evidence.standard_error**2).sum(axis=0))
+
+    @cached_property
+    def average_violation(self) -> np.ndarray:
+        """[H] violation probability averaged over the demonstrations (the paper's score)."""
+        num = self.task_counts[:, None] * self.is_counted
+        return (num * self.evidence.violation_probability).sum(axis=0) / np.maximum(
+            num.sum(axis=0), 1
+        )
+
+    @cached_property
+    def is_lower_bound(self) -> np.ndarray:
+        """[H] True where almost every nominal trajectory of a task enters: see `is_floored`."""
+        floored = self.evidence.is_floored & self.is_used
+        return np.asarray(floored.any(axis=0))
+
+    @cached_property
+    def is_open(self) -> np.ndarray:
+        """[K, H] True where `resolve` can help: a ratio that matters is a bound, or few avoid.
+
+        False where `resolve` was tried, where a task starts inside the hypothesis, and where log
+        Z_0 itself is too uncertain: it may take half of the error.
+        """
+        evidence = self.evidence
+        able = (self.task_counts > 0) & ~evidence.has_too_few
+        able &= evidence.log_partition_error < SETTLED / math.sqrt(2.0)
+        untried = np.isnan(evidence.summary.log_ratio_error)
+        is_open = evidence.standard_error > FEW_AVOID
+        is_open &= untried & able[:, None] & self.is_counted & ~self.struck_out
+        for index in np.flatnonzero(is_open.any(axis=0)).tolist():
+            constraint = evidence.problem.hypotheses.constraint(index)
+            is_open[:, index] &= ~constraint.contains(evidence.tasks.start, evidence.problem.space)
+        return is_open
+
+    @property
+    def score(self) -> np.ndarray:
+        """[H] the number that hypotheses are ranked by; -inf where struck out."""
+        if self.score_name == "likelihood":
+            return self.log_likelihood
+        return np.where(self.struck_out, -np.inf, self.average_violation)
+
+    @cached_property
+    def task_error(self) -> np.ndarray:
+        """[K, H] what the demonstrations of each task add to the standard error of `score`."""
+        if self.score_name == "likelihood":
+            return self.sensitivity * self.evidence.standard_error
+        num = self.task_counts[:, None] * self.is_counted
+        share = num / np.maximum(num.sum(axis=0), 1)
+        return np.asarray(share * np.sqrt(self.evidence.summary.avoid_variance))
+
+    @cached_property
+    def score_error(self) -> np.ndarray:
+        """[H] standard error of `score`; tasks are sampled independently."""
+        return np.linalg.norm(self.task_error, axis=0)
