@@ -46,7 +46,7 @@ class Mutant(NamedTuple):
 MUTANTS = (
     Mutant(
         "drop the entropy term: PPO's reward leaves the action's log-probability out",
-        "solvers/trained/ppo_training.py",
+        "solvers/trained/ppo.py",
         "reward = earned - segment.log_probability - log_measure(self.problem)",
         "reward = earned - log_measure(self.problem)",
         "solvers/trained/test_ppo -k entropy",
@@ -194,16 +194,16 @@ MUTANTS = (
     Mutant(
         "judge the states alone where segments count",
         "constraints/base.py",
-        "if between_states and states.shape[-2] > 1:",
-        "if False:",
-        "constraints/test_constraints",
+        "hit = constraint.crosses(starts, ends, space)",
+        "hit = constraint.contains(ends, space)",
+        "constraints/test_base",
     ),
     Mutant(
         "close the upper side of a box",
         "constraints/boxes.py",
         "(low <= value) & (value < high)\n        return inside\n\n    def crosses",
         "(low <= value) & (value <= high)\n        return inside\n\n    def crosses",
-        "constraints/test_constraints",
+        "constraints/test_boxes",
     ),
     Mutant(
         "let trajectories through known constraints",
@@ -327,8 +327,8 @@ MUTANTS = (
     Mutant(
         "believe what foresight cannot tell of who has not moved",
         "monitoring/monitor.py",
-        "self._base = np.where(is_far, foreseen, known)",
-        "self._base = known",
+        "self._at_start = np.where(is_far, foreseen, known)",
+        "self._at_start = known",
         "monitoring/test_monitor -k not_moved",
     ),
     Mutant(
@@ -390,8 +390,8 @@ MUTANTS = (
     Mutant(
         "forget what it was worth to avoid a hypothesis so far",
         "monitoring/monitor.py",
-        "log_likelihood = np.subtract(ahead, self._base, dtype=np.float32)",
-        "log_likelihood = np.add(ahead, 0.0, dtype=np.float32)",
+        "value = np.subtract(ahead, self._at_start, dtype=np.float32)",
+        "value = np.add(ahead, 0.0, dtype=np.float32)",
         "monitoring/test_monitor",
     ),
     Mutant(
@@ -404,8 +404,8 @@ MUTANTS = (
     Mutant(
         "go on with what is foreseen at the horizon, where nothing is left",
         "monitoring/monitor.py",
-        "is_over = step == self._problem.num_steps",
-        "is_over = False",
+        "return step == self._problem.num_steps",
+        "return False",
         "monitoring/test_monitor",
     ),
     Mutant(
@@ -438,7 +438,7 @@ MUTANTS = (
     ),
     Mutant(
         "count what was entered before a state for the rest",
-        "monitoring/foresee.py",
+        "sampling/continuations.py",
         "part = states[:, cut : end + 1]",
         "part = states[:, : end + 1]",
         "monitoring/test_foresight -k every_sequence",
@@ -497,7 +497,7 @@ MUTANTS = (
         "hypotheses/grid_axis.py",
         "return last + np.round(missed / TWO_PI).astype(np.int64) * self.period",
         "return last",
-        "hypotheses/test_hypotheses",
+        "hypotheses/test_grid",
     ),
 )
 

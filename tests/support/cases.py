@@ -28,9 +28,9 @@ from swerve import (
 )
 from swerve.evidence import estimators
 from swerve.hypotheses.bits import unpack
+from swerve.solvers.base import Solver
 from swerve.solvers.exact.enumeration import Enumeration, EnumerationNominal
 from swerve.solvers.exact.tabular import TableNominal
-from swerve.solvers.learn import Solver
 from swerve.systems.gridworld import cell_box, move_box
 
 STANDARD_ERRORS = 4.5

@@ -1,0 +1,71 @@
+"""Lists of constraints as hypotheses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.cells import PENDULUM, as_list, both_settings, entered, fewer, walks
+
+from swerve.base.space import TWO_PI
+from swerve.constraints.base import Predicate, violates
+from swerve.constraints.boxes import Box
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.bits import unpack
+from swerve.hypotheses.grid import grid
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+class TestLists:
+    @both_settings
+    def test_each_column_is_one_constraint(self, between_states: bool) -> None:
+        constraints = [
+            Box(theta=(0.0, 1.0)),
+            Predicate("fast", lambda states: abs(states[..., 1]) > 2.0),
+            Box(theta=(-1.0, 1.0), omega=(0.0, math.inf)),
+            *(Box(omega=(k / 2, k / 2 + 1.0)) for k in range(-4, 4)),
+        ]
+        hypotheses = ConstraintHypotheses(constraints)
+        states = walks(np.random.default_rng(1))
+        columns = [violates(c, states, PENDULUM, between_states) for c in constraints]
+        bits = hypotheses.violations(states, PENDULUM, between_states)
+        assert bits.shape == (25, 2)
+        np.testing.assert_array_equal(unpack(bits, len(hypotheses)), np.stack(columns, axis=-1))
+        assert [hypotheses.constraint(k) for k in range(len(hypotheses))] == constraints
+
+    @fewer
+    @given(seed=seeds)
+    def test_order_does_not_matter(self, seed) -> None:
+        generator = np.random.default_rng(seed)
+        boxes = as_list(grid(theta=(0.0, TWO_PI, 5), omega=(-4.0, 4.0, 4))).constraints
+        order = generator.permutation(len(boxes))
+        states = walks(generator)
+        shuffled = ConstraintHypotheses(boxes[k] for k in order)
+        np.testing.assert_array_equal(
+            entered(shuffled, states, PENDULUM, True),
+            entered(ConstraintHypotheses(boxes), states, PENDULUM, True)[:, order],
+        )
+
+    def test_state_names_and_code(self) -> None:
+        boxes = ConstraintHypotheses([Box(omega=(0, 1)), Box(theta=(0, 1), omega=(0, 1))])
+        assert boxes.state_names == ("omega", "theta")
+        assert not boxes.needs_code
+        assert ConstraintHypotheses([Predicate("p", lambda s: s[..., 0] > 0)]).needs_code
+        assert not grid(theta=(0.0, 1.0, 2)).needs_code
+        assert grid(omega=(0.0, 1.0, 2), theta=(0.0, 1.0, 2)).state_names == ("omega", "theta")
+
+    def test_an_empty_list_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="hypotheses: expected at least one constraint, got"):
+            ConstraintHypotheses([])
+
+    def test_check_names_the_hypothesis(self) -> None:
+        wrong: Any = [Box(theta=(0, 1)), "wall"]
+        with pytest.raises(ValueError, match=r"hypotheses\[1\]: expected a Constraint, got 'wall'"):
+            ConstraintHypotheses(wrong).check(PENDULUM, ())
+        with pytest.raises(ValueError, match="no state named 'x'; the states are theta, omega"):
+            ConstraintHypotheses([Box(x=(0, 1))]).check(PENDULUM, ())
