@@ -248,10 +248,10 @@ MUTANTS = (
         "inference/test_greedy_steps",
     ),
     Mutant(
-        "take trajectories off again that are covered already",
+        "leave out trajectories again that were left out before",
         "inference/conditional.py",
-        "covered, self._rows = self._rows[enters], self._rows[~enters]",
-        "covered, self._rows = self._rows[enters], self._rows",
+        "entering, self._rows = self._rows[enters], self._rows[~enters]",
+        "entering, self._rows = self._rows[enters], self._rows",
         "inference/test_greedy",
     ),
     Mutant(
@@ -483,14 +483,14 @@ MUTANTS = (
         "inference/judging.py",
         "if not (is_there.all() and are_plausible(states, space)):",
         "if not are_plausible(states, space):",
-        "inference/test_ranking",
+        "inference/test_judging",
     ),
     Mutant(
         "rest at the start rather than where a shorter demonstration ends",
         "inference/judging.py",
         "return states[np.minimum(np.arange(num), len(states) - 1)]",
         "return states[np.arange(num) % len(states)]",
-        "inference/test_ranking",
+        "inference/test_judging",
     ),
     Mutant(
         "cross a turn's end as if all lines lay between",

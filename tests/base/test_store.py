@@ -1,16 +1,11 @@
+"""Stored files: what was written is read back, and anything else is refused."""
+
+from __future__ import annotations
+
 import json
-import os
-import random
-import resource
-import signal
 import subprocess
 import sys
-import tempfile
-import threading
-import time
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +14,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support.stored_files import (
+    ARRAYS,
+    HEADER,
+    KIND,
+    VERSION,
+    assert_same,
+    child_environment,
+    flips,
+    read,
+    refuses,
+)
 
 from swerve.base import store
-
-KIND, VERSION = "evidence", 3
-HEADER = {"swerve": "0.1.0", "beta": 0.67, "names": ["theta", "omega"], "none": None}
-ARRAYS = {
-    "summary/log_ratio": np.array([[0.5, -1.25]]),
-    "bits": np.arange(5, dtype=np.uint8),
-    "empty": np.zeros((0, 3), np.float32),
-}
-NOBODY = 65534
 
 dtypes = st.one_of(
     hnp.boolean_dtypes(),
@@ -38,15 +35,6 @@ dtypes = st.one_of(
     hnp.floating_dtypes(endianness="?"),
     hnp.complex_number_dtypes(endianness="?"),
     hnp.unicode_string_dtypes(endianness="?"),
-)
-json_data = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(),
-    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
-    max_leaves=10,
 )
 
 
@@ -57,45 +45,10 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    with store.open_file(path, KIND, VERSION) as stored:
-        return stored.header, {name: stored.array(name) for name in stored.names}
-
-
-def assert_same(content: tuple[dict[str, Any], dict[str, np.ndarray]]) -> None:
-    header, arrays = content
-    assert header == HEADER
-    assert list(arrays) == list(ARRAYS)
-    for name, array in ARRAYS.items():
-        assert arrays[name].dtype == array.dtype
-        np.testing.assert_array_equal(arrays[name], array, strict=True)
-
-
 def write_zip(path: Path, members: dict[str, bytes | str]) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in members.items():
             archive.writestr(name, data)
-
-
-@contextmanager
-def without_privileges() -> Iterator[Path]:
-    """Yield a folder that others own, seen by a user whom permission bits bind."""
-    with tempfile.TemporaryDirectory() as name:  # pytest's own folders are closed to other users
-        folder = Path(name)
-        folder.chmod(0o755)
-        (folder / "theirs").mkdir(mode=0o755)
-        (folder / "ours").mkdir()
-        (folder / "ours").chmod(0o777)
-        user = os.geteuid()
-        if user == 0:
-            os.seteuid(NOBODY)
-        else:
-            (folder / "theirs").chmod(0o555)
-        try:
-            yield folder
-        finally:
-            os.seteuid(user)
-            (folder / "theirs").chmod(0o755)
 
 
 def test_reads_back_what_was_written(path: Path) -> None:
@@ -153,31 +106,10 @@ def test_importing_loads_neither_jax_nor_polars_nor_zipfile() -> None:
         "new = {name.split('.')[0] for name in set(sys.modules) - before};"
         "assert not new & {'jax', 'polars', 'zipfile', 'tempfile', 'hashlib'}, new;"
         "swerve = {name for name in sys.modules if name.startswith('swerve.')};"
-        "ours = ('store', 'demonstrations', 'space', 'state_checks', 'tables');"
-        "assert swerve == {f'swerve.{name}' for name in ours}, swerve"
+        "packages = {name.split('.')[1] for name in swerve};"
+        "assert packages == {'base', 'demonstrations'}, swerve"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=child_environment(), timeout=60)
-
-
-def refuses(read: Callable[[Path], Any], path: Path) -> bool:
-    """Return whether reading is refused; then the message has to say what is needed."""
-    content = path.read_bytes()
-    message = None
-    try:
-        read(path)
-    except store.StoreError as error:
-        message = str(error)
-    assert path.read_bytes() == content
-    assert message is None or (message.startswith(f"{path}: ") and "left as it was; " in message)
-    return message is not None
-
-
-def flips(content: bytes) -> Iterator[bytes]:
-    for position in range(len(content)):
-        for flip in (0x01, 0xFF):
-            altered = bytearray(content)
-            altered[position] ^= flip
-            yield bytes(altered)
 
 
 def test_any_altered_byte_is_refused_or_harmless(path: Path) -> None:
@@ -342,201 +274,3 @@ def test_refuses_headers_that_are_not_json(path: Path) -> None:
     with pytest.raises(TypeError, match="not JSON serializable"):
         store.write(path, KIND, VERSION, {"beta": np.float32(1)}, {})
     assert_same(read(path))
-
-
-def test_a_full_disk_leaves_the_old_file(path: Path) -> None:
-    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limit[1]))
-    try:
-        with pytest.raises(
-            OSError, match=r"cannot write evidence.swerve in /.*too large; choose a"
-        ):
-            store.write(path, KIND, VERSION, {}, {"big": np.zeros(100_000)})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-    assert_same(read(path))
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_an_interruption_leaves_the_old_file(
-    path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
-) -> None:
-    def interrupt(_: int) -> None:
-        raise error
-
-    monkeypatch.setattr(os, "fsync", interrupt)
-    with pytest.raises(error):
-        store.write(path, KIND, VERSION, {}, {})
-    monkeypatch.undo()
-    assert_same(read(path))
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
-def test_writing_flushes_file_and_folder_to_the_disk(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flushed = []
-
-    def record(descriptor: int) -> None:
-        is_folder = os.path.samestat(os.fstat(descriptor), path.parent.stat())
-        replaced = os.fstat(descriptor).st_ino == path.stat().st_ino
-        flushed.append((is_folder, replaced))
-
-    monkeypatch.setattr(os, "fsync", record)
-    store.write(path, KIND, VERSION, {}, {})
-    assert flushed == [(False, False), (True, False)]  # the file before it takes its place
-
-
-def test_a_leftover_confuses_nobody_and_goes_with_the_next_write(path: Path) -> None:
-    leftover = path.with_name(f".{path.name}.tmp")
-    leftover.write_bytes(b"x" * 100_000)
-    assert_same(read(path))
-    store.write(path, KIND, VERSION, HEADER, ARRAYS)
-    assert_same(read(path))
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
-def test_concurrent_writers_leave_one_whole_content(path: Path) -> None:
-    failures = []
-
-    def write(number: int) -> None:
-        try:
-            for _ in range(20):
-                store.write(path, KIND, VERSION, {"n": number}, {"a": np.full(2000, number)})
-                header, arrays = read(path)
-                assert (arrays["a"] == header["n"]).all()
-        except BaseException as error:
-            failures.append(error)
-
-    threads = [threading.Thread(target=write, args=(number,)) for number in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not failures
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
-def child_environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-
-
-def test_a_killed_writer_leaves_the_old_or_the_new_content(tmp_path: Path) -> None:
-    code = (
-        "import itertools, sys, numpy as np; from swerve import store\n"
-        "for n in itertools.count():\n"
-        "    arrays = {'a': np.full(300_000, n), 'b': np.full(7, n)}\n"
-        f"    store.write(sys.argv[1], {KIND!r}, {VERSION}, {{'n': n}}, arrays)"
-    )
-    paths = [tmp_path / str(number) / "f.swerve" for number in range(12)]
-    rng = random.Random(0)
-    interrupted = 0
-    for group in (paths[:6], paths[6:]):
-        children = [
-            subprocess.Popen([sys.executable, "-c", code, str(path)], env=child_environment())
-            for path in group
-        ]
-        try:
-            deadline = time.monotonic() + 60
-            while not all(path.exists() for path in group) and time.monotonic() < deadline:
-                time.sleep(0.01)
-            for child in children:
-                time.sleep(rng.uniform(0.0, 0.05))
-                child.send_signal(signal.SIGKILL)
-        finally:
-            for child in children:
-                child.kill()
-                assert child.wait() == -signal.SIGKILL
-    for path in paths:
-        header, arrays = read(path)
-        assert (arrays["a"] == header["n"]).all()
-        assert (arrays["b"] == header["n"]).all()
-        interrupted += len(list(path.parent.iterdir())) - 1
-        store.write(path, KIND, VERSION, HEADER, ARRAYS)
-        assert_same(read(path))
-        assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-    assert interrupted > 0  # else the test has tested nothing
-
-
-def test_a_missing_folder_is_made(tmp_path: Path) -> None:
-    path = tmp_path / "a" / "b" / "f.swerve"
-    store.write(path, KIND, VERSION, HEADER, ARRAYS)
-    assert_same(read(path))
-
-
-def test_a_folder_of_others_is_named_with_what_to_do() -> None:
-    with without_privileges() as folder:
-        theirs = folder / "theirs"
-        message = f"in {theirs}: Permission denied; choose a folder that you can write"
-        with pytest.raises(PermissionError, match=message):
-            store.check_writable(theirs)
-        with pytest.raises(PermissionError, match=f"in {theirs}/new: Permission denied; choose a"):
-            store.check_writable(theirs / "new")
-        with pytest.raises(PermissionError, match=f"cannot write f.swerve {message}"):
-            store.write(theirs / "f.swerve", KIND, VERSION, {}, {})
-        with pytest.raises(PermissionError, match=f"cannot write f.json {message}"):
-            store.write_json(theirs / "f.json", {})
-        assert list(theirs.iterdir()) == []
-
-        store.check_writable(folder / "ours" / "new" / "deep")
-        assert list((folder / "ours" / "new" / "deep").iterdir()) == []
-
-
-def test_a_file_is_no_folder(path: Path) -> None:
-    with pytest.raises(FileExistsError, match=f"cannot write in {path}: File exists; choose a"):
-        store.check_writable(path)
-
-
-@given(data=json_data)
-def test_round_trip_of_records(tmp_path_factory: pytest.TempPathFactory, data: Any) -> None:
-    path = tmp_path_factory.getbasetemp() / "record.json"
-    store.write_json(path, data)
-    back = store.read_json(path)
-    assert back == data
-    assert json.dumps(back) == json.dumps(data)  # 1 is not 1.0, nor True
-
-
-def test_an_altered_or_cut_record_is_refused_or_harmless(tmp_path: Path) -> None:
-    path = tmp_path / "record.json"
-    data = {"rate": 15e99, "small": -1e-7, "text": "Swérve", "list": [1, True, None]}
-    store.write_json(path, data)
-    content = path.read_bytes()
-    variants = [content[:length] for length in range(len(content) - 1)] + list(flips(content))
-
-    def read_same(path: Path) -> None:
-        assert json.dumps(store.read_json(path)) == json.dumps(data)
-
-    refused = 0
-    for variant in variants:
-        path.write_bytes(variant)
-        refused += refuses(read_same, path)
-    assert refused > 0.8 * len(variants)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("", r"record.json: cut short or altered, not JSON .*left as it was; copy it again"),
-        ("[]", r"not a Swerve file: expected a JSON object.*give a file that swerve wrote"),
-        ("{}", r"not a Swerve record, or altered: expected the keys crc32 and data"),
-        ('{"crc32": "00000000", "data": 1}', r"its checksum does not match its data"),
-        ('{"crc32": "00000000", "data": 1e999}', r"its checksum does not match its data"),
-    ],
-)
-def test_refuses_other_records(tmp_path: Path, content: str, message: str) -> None:
-    path = tmp_path / "record.json"
-    path.write_text(content)
-    with pytest.raises(store.StoreError, match=message):
-        store.read_json(path)
-    assert path.read_text() == content
-
-
-def test_a_record_that_is_not_json_leaves_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "record.json"
-    store.write_json(path, [1])
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        store.write_json(path, float("inf"))
-    with pytest.raises(TypeError, match="not JSON serializable"):
-        store.write_json(path, {1, 2})
-    assert store.read_json(path) == [1]

@@ -1,12 +1,12 @@
-from __future__ import annotations
+"""Likelihood ratios, ties and the order of hypotheses."""
 
-import json
-import math
+from __future__ import annotations
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.rankings import CELLS, RISING, evidence_with_chances
 from support.synthetic import (
     TASKS,
     evidence_of_columns,
@@ -16,30 +16,13 @@ from support.synthetic import (
     make_samples,
 )
 
+from swerve.answer import infer
 from swerve.base.space import TWO_PI, Task
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.evidence.evidence import Evidence
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import grid
-from swerve.inference.ranking import Inference, infer
 
-CELLS = grid(x=(0.0, 10.0, 10))  # hypothesis k: k <= x < k + 1; the tasks start in 1, 5 and 9
 seeds = st.integers(0, 2**32 - 1)
-
-
-def evidence_with_chances(
-    chances: list[float] | np.ndarray, num: int = 1000, num_tasks: int = 3, seed: int = 0
-) -> Evidence:
-    """Equal weights; hypothesis k is entered by this share of the trajectories of every task."""
-    generator = np.random.default_rng(seed)
-    columns = np.zeros((num_tasks, num, len(chances)), bool)
-    for task in columns:
-        for k, chance in enumerate(chances):
-            task[generator.permutation(num)[: round(chance * num)], k] = True
-    return evidence_of_columns(columns, CELLS)
-
-
-RISING = [0.05 * k for k in range(10)]
 
 
 class TestStruckOut:
@@ -292,232 +275,3 @@ class TestAverageScore:
     def test_an_unknown_score_is_refused(self) -> None:
         with pytest.raises(ValueError, match="score: expected one of likelihood, average, got 'm"):
             infer(evidence_with_chances(RISING), score="mean")
-
-
-def everywhere(name: str = "wanderer") -> Demonstration:
-    states = np.stack([np.full(10, 0.1), np.arange(10) + 0.5], axis=-1)
-    states[0] = TASKS.start[0]
-    states = np.concatenate([states[:1], [[0.1, 0.5]], states[1:]])
-    return Demonstration(name, states, Task(TASKS.start[0], TASKS.goal[0]))
-
-
-class TestWarnings:
-    def test_there_are_none_where_nothing_is_wrong(self) -> None:
-        evidence = evidence_with_chances(RISING)
-        assert infer(evidence).warnings == ()
-        assert infer(evidence, [make_demonstration(0)]).warnings == ()
-
-    def test_no_hypothesis_is_left(self) -> None:
-        result = infer(evidence_with_chances(RISING), [make_demonstration(1, "b"), everywhere()])
-        assert result.struck_out.all()
-        assert len(result.ranking) == len(result.rank) == len(result.leaders) == 0
-        assert result.headline.startswith("No hypothesis is left: each of the 10 is entered by")
-        (warning,) = result.warnings
-        assert warning.startswith("no hypothesis is left: each of the 10 is entered by at least")
-        assert "(wanderer alone enters 10)" in warning
-        data = json.loads(json.dumps(result.to_json(), allow_nan=False))
-        assert data["ranking"] == []
-        assert len(data["struck_out"]) == 10
-        assert result.table().count("\n") == 0  # the header alone
-
-    def low_evidence(self, task: int) -> Evidence:
-        samples = make_samples(1000, num_hypotheses=10)
-        samples.total_reward[task, 0] += 40.0  # with beta 0.5 it outweighs the rest
-        return make_evidence(make_record(hypotheses=CELLS), samples)
-
-    def test_low_effective_sample_size(self) -> None:
-        evidence = self.low_evidence(2)
-        assert evidence.effective_sample_size[2] < 2
-        demonstrations = [make_demonstration(0, "a"), make_demonstration(2, "b")]
-        warning, *_ = infer(evidence, demonstrations).warnings
-        assert warning.startswith(
-            "not to be trusted: the effective sample size is too low for 1 of"
-        )
-        assert "1 of 2 tasks (worst: b, 1 of 1000)" in warning
-        assert infer(evidence, demonstrations[:1]).warnings == ()
-        prior, *_ = infer(evidence).warnings
-        assert "1 of 3 tasks (worst: task 2, 1 of 1000)" in prior
-
-    def test_plain_weights_do_not_hide_it(self) -> None:
-        samples = make_samples(1000, num_hypotheses=10)
-        samples.total_reward[0, 0] += 40.0
-        evidence = make_evidence(make_record(hypotheses=CELLS), samples, method="plain")
-        warning, *_ = infer(evidence, [make_demonstration(0, "a")]).warnings
-        assert "not to be trusted" in warning
-
-    @pytest.mark.parametrize(("ess", "low"), [(99.0, True), (101.0, False)])
-    def test_few_effective_samples_are_too_few(self, ess: float, low: bool) -> None:
-        evidence = evidence_with_chances(RISING)
-        summary = evidence.summary._replace(effective_sample_size=np.full(3, ess))
-        object.__setattr__(evidence, "summary", summary)
-        assert bool(infer(evidence).warnings) == low
-
-    @pytest.mark.parametrize(("ess", "low"), [(1990.0, True), (2010.0, False)])
-    def test_a_small_share_of_many_is_too_few(self, ess: float, low: bool) -> None:
-        evidence = evidence_with_chances(RISING)
-        summary = evidence.summary._replace(effective_sample_size=np.full(3, ess))
-        object.__setattr__(evidence, "summary", summary)
-        object.__setattr__(evidence, "num_trajectories", 100_000)
-        assert bool(infer(evidence).warnings) == low
-
-    def test_a_floored_leader(self) -> None:
-        chances = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.2, 0.0]
-        result = infer(evidence_with_chances(chances), [make_demonstration(0)])
-        np.testing.assert_array_equal(result.leaders, [6])
-        assert result.log_likelihood[6] == pytest.approx(math.log(1000))
-        (warning,) = result.warnings
-        assert warning.startswith("the score of hypothesis 6 is only a lower bound: almost every")
-        assert warning.endswith(
-            "the samples tell no more than about 6.9 nats. With the solvers grid and soft-value "
-            "more can be worked out"
-        )
-        np.testing.assert_array_equal(np.flatnonzero(result.is_lower_bound), [6])
-        assert "(≥ 6.9 nats)" in result.headline
-        assert " 6 ≥    6.91 " in result.table()
-        assert [row["is_lower_bound"] for row in result.to_json()["ranking"][:2]] == [True, False]
-
-    def test_a_floored_hypothesis_that_is_not_first(self) -> None:
-        """First by three good tasks; the second might be far better in the one that floors it."""
-        columns = np.zeros((3, 1000, 10), bool)
-        columns[:, :990, 6] = True
-        columns[1, :, 2] = True
-        evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
-        result = infer(evidence, [make_demonstration(task, f"d{task}") for task in range(3)])
-        assert result.ranking[:2].tolist() == [6, 2]
-        (warning,) = result.warnings
-        assert warning.startswith("the score of hypothesis 2 is only a lower bound")
-
-    def test_a_floored_hypothesis_that_is_struck_out_is_no_matter(self) -> None:
-        chances = [0.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0, 0.2, 0.0]
-        assert infer(evidence_with_chances(chances), [make_demonstration(0)]).warnings == ()
-
-
-class TestRefused:
-    def test_a_demonstration_of_an_unknown_task(self) -> None:
-        stranger = Demonstration(
-            "demo_17", np.array([[0.5, 1.0], [0.5, 1.1]]), Task(np.array([0.5, 1.0]), TASKS.goal[0])
-        )
-        with pytest.raises(
-            ValueError, match=r"demo_17: no evidence for start \(0\.5, 1\) and goal"
-        ):
-            infer(evidence_with_chances(RISING), [make_demonstration(0), stranger])
-
-    def test_nan_is_named_with_its_row(self) -> None:
-        broken = make_demonstration(1, "demo_5", num_states=30)
-        broken.states[16, 1] = np.nan
-        with pytest.raises(ValueError, match="demo_5: row 17, column x: expected a finite number"):
-            infer(evidence_with_chances(RISING), [make_demonstration(0), broken])
-
-    def test_states_of_another_problem(self) -> None:
-        other = Demonstration("demo_3", np.zeros((5, 3)), Task(np.zeros(3), np.zeros(3)))
-        message = r"demo_3: expected states of shape \(any, 2\), got \(5, 3\)"
-        with pytest.raises(ValueError, match=message):
-            infer(evidence_with_chances(RISING), [other])
-
-    def test_a_start_elsewhere_than_that_of_the_task(self) -> None:
-        states = np.repeat(TASKS.start[:1], 3, axis=0) + np.array([0.0, 0.5])
-        elsewhere = Demonstration("demo_4", states, Task(TASKS.start[0], TASKS.goal[0]))
-        with pytest.raises(ValueError, match=r"demo_4: the first state is .* but the task starts"):
-            infer(evidence_with_chances(RISING), [elsewhere])
-
-    def test_a_step_of_half_a_turn(self) -> None:
-        states = np.array([[0.1, 1.0], [0.1 + math.pi, 1.0]])
-        jump = Demonstration("demo_4", states, Task(states[0], TASKS.goal[0]))
-        with pytest.raises(ValueError, match=r"demo_4: row 2, column theta: 3\.142 rad from"):
-            infer(evidence_with_chances(RISING), [jump])
-
-
-class TestOutput:
-    @pytest.fixture
-    def result(self) -> Inference:
-        evidence = evidence_with_chances([0.1 * k for k in range(10)])
-        demonstrations = [make_demonstration(0, "a", x=3.5), make_demonstration(2, "b")]
-        return infer(evidence, demonstrations)
-
-    def test_json_holds_the_ranking_best_first(self, result: Inference) -> None:
-        data = json.loads(json.dumps(result.to_json(), allow_nan=False))
-        assert [entry["index"] for entry in data["ranking"]] == [8, 7, 6, 5, 4, 2, 0]
-        for entry in data["ranking"]:
-            index = entry["index"]
-            assert {"index", "name", "log_likelihood", "standard_error"} <= entry.keys()
-            assert entry["name"] == f"x [{index}, {index + 1})"
-            assert entry["log_likelihood"] == result.log_likelihood[index]
-            assert entry["standard_error"] == result.standard_error[index] > 0
-            assert entry["average_violation"] == pytest.approx(0.1 * index)
-        assert [entry["rank"] for entry in data["ranking"]] == [1, 2, 3, 4, 5, 6, 7]
-        struck_out = {entry["index"]: entry["entered_by"] for entry in data["struck_out"]}
-        assert struck_out == {1: ["a"], 3: ["a"], 9: ["b"]}
-        assert data["headline"] == result.headline
-        assert data["num_demonstrations"] == 2
-        assert data["warnings"] == []
-        assert data["score"] == "likelihood"
-        assert data["problem"] == result.evidence.problem.summary
-
-    def test_json_holds_diagnostics_of_the_tasks_used(self, result: Inference) -> None:
-        first, last = result.to_json()["diagnostics"]
-        assert (first["task"], last["task"]) == (0, 2)
-        assert (first["demonstrations"], last["demonstrations"]) == (["a"], ["b"])
-        assert last["start"] == TASKS.start[2].tolist()
-        assert last["goal"] == TASKS.goal[2].tolist()
-        assert last["effective_sample_size"] == pytest.approx(1000.0)
-        assert last["num_trajectories"] == 1000
-        assert last["method"] == "plain"
-        assert last["kl"] == pytest.approx(0.0, abs=1e-9)
-        assert last["log_partition"] == pytest.approx(-5 * math.log(3))
-
-    def test_json_is_the_same_after_a_round_trip_of_the_evidence(self, result, tmp_path) -> None:
-        result.evidence.save(tmp_path / "a.evidence")
-        again = infer(Evidence.load(tmp_path / "a.evidence"), result.demonstrations)
-        assert json.dumps(again.to_json()) == json.dumps(result.to_json())
-
-    def test_headline_names_the_winner(self, result: Inference) -> None:
-        for part in ("2 demonstrations", "cell 8: x [8, 9)", "3.22 ± 0.09 nats"):
-            assert part in result.headline
-
-    def test_headline_of_a_tie(self) -> None:
-        result = infer(evidence_with_chances([0.0] * 10), [make_demonstration(0)])
-        assert "No hypothesis explains 1 demonstration noticeably better" in result.headline
-        assert "tied with cells 2, 3, 4, 5, 6, 7 and 2 more" in result.headline
-
-    def test_table(self, result: Inference) -> None:
-        lines = result.table(3).splitlines()
-        columns = ["rank", "index", "nats", "+-", "posterior", "violated", "hypothesis"]
-        assert lines[0].split() == columns
-        probability = f"{result.posterior.hypotheses[8]:.4f}"
-        assert lines[1].split() == [
-            "1",
-            "8",
-            "3.22",
-            "0.09",
-            probability,
-            "0.800",
-            "x",
-            "[8,",
-            "9)",
-        ]
-        assert [line.split()[:2] for line in lines[1:4]] == [["1", "8"], ["2", "7"], ["3", "6"]]
-        assert lines[4].strip() == "... 4 more"
-        assert len(result.table(7).splitlines()) == 8
-
-    def test_table_marks_ties(self) -> None:
-        result = infer(evidence_with_chances([0.5, 0.5, 0.0, 0.0, *[0.9] * 6]))
-        ranks = [line.split()[0] for line in result.table().splitlines()[1:]]
-        assert ranks == ["1="] * 6 + ["7="] * 2 + ["9="] * 2
-
-    def test_names(self, result: Inference) -> None:
-        assert result.hypothesis_name(8) == "x [8, 9)"
-        assert [result.task_name(k) for k in range(3)] == ["a", "task 1", "b"]
-
-
-def test_a_shorter_demonstration_rests_where_it_ends() -> None:
-    """It does not enter what lies on the straight way back to its start."""
-    evidence = make_evidence(make_record(between_states=True))
-    start, goal = TASKS.start[0], TASKS.goal[0]
-    corner = np.array([[0.1, 1.0], [1.0, 1.0], [2.0, 1.0], [2.0, 4.0], [2.0, 8.0]])
-    short = Demonstration("short", corner, Task(start, goal))
-    longer = make_demonstration(0, "longer", num_states=12)
-    together = infer(evidence, [short, longer])
-    alone = infer(evidence, [short])
-    np.testing.assert_array_equal(together.entered[0], alone.entered[0])
-    back = Demonstration("back", np.concatenate([corner, corner[:1]]), Task(start, goal))
-    assert infer(evidence, [back]).entered.sum() > alone.entered.sum()

@@ -76,9 +76,9 @@ def test_what_is_drawn_comes_from_pi_0() -> None:
     problem = room(beta=12.0)
     nominal = SoftPaths().learn(problem)
     answer = nominal.answer(TASK, np.random.default_rng(0))
-    drawn, generator = answer.drawn, np.random.default_rng(1)
+    drawn, generator = answer.kept, np.random.default_rng(1)
     entered = [swerve.sample(nominal, TASK, seed=1).samples.violations[0]]
-    entered += [nominal.answer(TASK, generator).drawn.violations for _ in range(9)]
+    entered += [nominal.answer(TASK, generator).kept.violations for _ in range(9)]
     share = np.unpackbits(np.concatenate(entered), axis=1, count=9, bitorder="little").mean(axis=0)
     error = np.sqrt(answer.avoid_probability * (1.0 - answer.avoid_probability) / 1000.0)
     assert (np.abs(share - (1.0 - answer.avoid_probability)) < 4.0 * error + 1e-9).all()

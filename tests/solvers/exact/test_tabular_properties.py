@@ -321,7 +321,7 @@ def test_drawn_trajectories_are_possible(model: Model) -> None:
     """Each is one of the paths, with what it earns and enters, and stays where it ended."""
     paths = paths_of(model)
     assume(paths)
-    drawn = model.answer.drawn
+    drawn = model.answer.kept
     entered = unpack(drawn.violations, model.num_hypotheses)
     for k, length in enumerate(drawn.length):
         states = drawn.states[k, :, 0].astype(int).tolist()
