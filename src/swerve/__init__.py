@@ -13,10 +13,12 @@ TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 if TYPE_CHECKING:
     from swerve.answer import Inference, infer
     from swerve.base.space import StateSpace, Task
-    from swerve.constraints.base import Constraint, Predicate, Union
+    from swerve.constraints.base import Constraint, Union
     from swerve.constraints.boxes import ActionBox, Box
     from swerve.constraints.occupancy import Occupancy
-    from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+    from swerve.constraints.polygons import Polygon
+    from swerve.constraints.predicate import Predicate
+    from swerve.constraints.shapes import Ball, HalfSpace
     from swerve.constraints.state_action import StateAction
     from swerve.demonstrations.demonstration import (
         Demonstration,
@@ -93,9 +95,9 @@ _HOMES = {
     "PPO": "solvers.trained.ppo",
     "Pair": "inference.pairs",
     "Pick": "inference.greedy",
-    "Polygon": "constraints.shapes",
+    "Polygon": "constraints.polygons",
     "Pendulum": "systems.pendulum",
-    "Predicate": "constraints.base",
+    "Predicate": "constraints.predicate",
     "Problem": "problem.problem",
     "SoftPaths": "solvers.exact.soft_paths",
     "Rollouts": "monitoring.foresee",

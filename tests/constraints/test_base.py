@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swerve.base.space import TWO_PI, Actions, StateSpace
-from swerve.constraints.base import Predicate, Union, check_constraints, violates
+from swerve.constraints.base import Union, check_constraints, violates
 from swerve.constraints.boxes import ActionBox, Box
+from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
 

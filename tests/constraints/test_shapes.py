@@ -14,8 +14,9 @@ from support.reference import PENDULUM_TASK, enumerate_exactly, short_pendulum
 
 from swerve import Ball, Box, Enumeration, HalfSpace, Polygon, Problem, Union, learn, sample
 from swerve.base.space import TWO_PI, StateSpace
-from swerve.constraints import polygons
-from swerve.constraints.base import Constraint, Predicate, violates
+from swerve.constraints import polygon_geometry
+from swerve.constraints.base import Constraint, violates
+from swerve.constraints.predicate import Predicate
 from swerve.constraints.stored import constraint_from_json
 from swerve.hypotheses.base import ConstraintHypotheses
 
@@ -109,7 +110,7 @@ class TestManyVertices:
     def test_a_batch_is_judged_as_each_of_it_is(self, depth: float) -> None:
         polygon = Polygon(self.VERTICES, depth=depth)
         starts, ends = self.STATES[:2], 0.8 * self.STATES[:2] + 0.2 * self.STATES[2:]
-        assert starts.size * len(self.VERTICES) > polygons.AT_ONCE
+        assert starts.size * len(self.VERTICES) > polygon_geometry.AT_ONCE
         inside, crossed = polygon.contains(starts, SPACE), polygon.crosses(starts, ends, SPACE)
         assert inside.shape == crossed.shape == (2, 600)
         for index in np.ndindex(2, 100):
@@ -122,7 +123,9 @@ class TestManyVertices:
         found = polygon.contains(self.STATES, SPACE)
         np.testing.assert_array_equal(found, by_winding(self.VERTICES, self.STATES[..., 1:]))
         deep = Polygon(self.VERTICES, depth=0.1).contains(self.STATES, SPACE)
-        to = np.sqrt(polygons.square_to_edge(self.VERTICES, *np.moveaxis(self.STATES, -1, 0)[1:]))
+        to = np.sqrt(
+            polygon_geometry.square_to_edge(self.VERTICES, *np.moveaxis(self.STATES, -1, 0)[1:])
+        )
         np.testing.assert_array_equal(deep, found & (to > 0.1))
 
     def test_distance_keeps_the_shape_of_a_batch(self) -> None:
@@ -252,15 +255,15 @@ class TestDistanceAndMargin:
         vertices = star(seed)
         points = np.random.default_rng(seed).uniform(-3.0, 3.0, (3000, 2))
         points = points[by_winding(vertices, points)]
-        depth = polygons.square_to_edge(vertices, points[:, 0], points[:, 1]) ** 0.5
-        assert depth.max() <= polygons.deepest(vertices) * 1.011
-        assert polygons.deepest(vertices) < depth.max() + 0.25
+        depth = polygon_geometry.square_to_edge(vertices, points[:, 0], points[:, 1]) ** 0.5
+        assert depth.max() <= polygon_geometry.deepest(vertices) * 1.011
+        assert polygon_geometry.deepest(vertices) < depth.max() + 0.25
 
     def test_the_deepest_point_of_known_polygons(self) -> None:
         long = np.array([(0.0, 0.0), (50.0, 0.0), (50.0, 1.0), (0.0, 1.0)])
-        assert polygons.deepest(long) == pytest.approx(0.5, rel=0.01)
+        assert polygon_geometry.deepest(long) == pytest.approx(0.5, rel=0.01)
         triangle = np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 3.0)])
-        assert polygons.deepest(triangle) == pytest.approx(1.0, rel=0.01)
+        assert polygon_geometry.deepest(triangle) == pytest.approx(1.0, rel=0.01)
 
 
 class TestWords:

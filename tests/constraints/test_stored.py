@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swerve.base.space import StateSpace
-from swerve.constraints.base import Constraint, Predicate, Union
+from swerve.constraints.base import Constraint, Union
 from swerve.constraints.boxes import ActionBox, Box
+from swerve.constraints.predicate import Predicate
 from swerve.constraints.stored import constraint_from_json
 
 PLANE = StateSpace(("x", "y"), (), np.array([[-4.0, 4.0], [-4.0, 4.0]]))

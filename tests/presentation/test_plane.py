@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from support.synthetic import SPACE, make_record
 
 from swerve.base.space import TWO_PI, StateSpace
-from swerve.constraints.base import Predicate
 from swerve.constraints.boxes import Box
+from swerve.constraints.predicate import Predicate
 from swerve.constraints.stored import constraint_from_json
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import grid

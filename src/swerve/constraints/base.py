@@ -1,10 +1,10 @@
-"""Regions of state space that a trajectory may be forbidden to enter, and actions not to take.
+"""Constraints: forbidden sets of states and actions, and the rule of what enters them.
 
-A constraint c is a set of states, of actions, or of both. A trajectory violates it when one of its
-states lies in c, or, unless states alone are judged, when the straight segment between two
-consecutive states crosses c (along the shorter arc for angles); and when one of its actions lies in
-c. All tests work alike on NumPy and JAX arrays: the same code judges demonstrations and masks the
-actions of a policy.
+A constraint c is a set of states, of actions, or of both. A trajectory enters c where one of its
+states lies in c; where the straight segment between two consecutive states meets c (along the
+shorter arc for angles), unless states alone are judged; and where one of its actions lies in c.
+`step_enters` and `violates` are this rule. All tests work alike on NumPy and JAX arrays: the same
+code judges demonstrations and masks the actions of a policy.
 
 Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 """
@@ -15,12 +15,12 @@ import functools
 import math
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from swerve.base.arguments import number_or_nan, whole_number
+from swerve.base.arguments import number_or_nan
 from swerve.base.space import Actions, StateSpace
 
 
@@ -28,20 +28,20 @@ class Constraint(ABC):
     """A forbidden set of states and actions."""
 
     about_actions = False
-    """Whether it forbids actions, so that judging it needs them."""
+    """Whether the constraint forbids actions, so that judging a trajectory needs its actions."""
 
     needs_code = False
-    """Whether judging it needs functions that no file can hold."""
+    """Whether judging a trajectory needs Python functions, which no file can hold."""
 
     @property
     def parts(self) -> tuple[Constraint, ...]:
-        """The constraints that it consists of: itself, unless it is a union."""
+        """The constraints that this one consists of: itself, unless it is a union."""
         return (self,)
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """What tables and pictures call it."""
+        """The name of the constraint in tables and pictures."""
 
     @abstractmethod
     def contains(self, states: Any, space: StateSpace) -> Any:
@@ -53,30 +53,30 @@ class Constraint(ABC):
 
     @abstractmethod
     def to_json(self) -> dict[str, Any]:
-        """Return JSON data from which `constraint_from_json` rebuilds it."""
+        """Return JSON data from which `constraint_from_json` rebuilds the constraint."""
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """For each state that it names an interval that it lies in, open sides +-inf."""
+        """For each state that the constraint names, an interval that holds it; open sides +-inf."""
         return {}
 
     def forbids(self, actions: Actions) -> Any:
-        """Return [...] True where an action is forbidden everywhere; none unless overridden."""
+        """Return [...] True where an action is forbidden in every state; False by default."""
         return nowhere(actions.values)
 
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
-        """Return [...] True where an action begun in a state [..., n] lies in the set."""
+        """Return [...] True where an action is forbidden in the state [..., n] where it begins."""
         del states, space
         return self.forbids(actions)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the distance [...] from states [..., n] to the set, 0 inside.
 
-        It is Euclidean over the states that the set names, in their own units, angles by the
-        shorter arc.
+        The distance is Euclidean over the states that the set names, in their own units, with
+        angles by the shorter arc.
 
         Raises:
-          ValueError: if there is no telling, as for predicates.
+          ValueError: if the set has no shape to tell distances to, as with predicates.
         """
         del states, space
         raise ValueError(
@@ -85,15 +85,15 @@ class Constraint(ABC):
         )
 
     def eroded(self, margin: Mapping[str, float], space: StateSpace) -> Constraint:
-        """Return the set of states deeper inside than measurement noise explains.
+        """Return the set less a margin: the states deeper inside than measurement noise explains.
 
         Args:
-          margin: for some states, how deep, in the state's unit.
-          space: what the states are: an interval that goes round an angle has no ends to lose.
+          margin: for some states, how deep inside, in the state's unit.
+          space: what the states are: an interval of a full turn has no ends, and so no margin.
 
         Raises:
-          ValueError: if a margin is negative or no number, or is of no state, if nothing is left,
-            or there is no telling, as for predicates.
+          ValueError: if a margin is negative or no number, or is that of no state; if the margin
+            leaves nothing of the set; or if the set has no shape, as with predicates.
         """
         if not isinstance(margin, Mapping):
             raise ValueError(
@@ -111,7 +111,7 @@ class Constraint(ABC):
         return self._eroded(margin, space)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Constraint:
-        """Return what `eroded` does, of a margin that has been checked."""
+        """Return the set less a margin that `eroded` has checked."""
         del margin, space
         raise ValueError(
             f"{self.name}: a {type(self).__name__} cannot be made smaller by a margin: use "
@@ -123,14 +123,14 @@ class Constraint(ABC):
 
 
 class Union(Constraint):
-    """What at least one of several constraints forbids.
+    """All that at least one of several constraints forbids.
 
     Args:
-      name: what tables call it.
+      name: of the union, in tables.
       constraints: its parts.
 
     Raises:
-      ValueError: if there is none, or one is no constraint.
+      ValueError: if there is no part, or a part is no constraint.
     """
 
     def __init__(self, name: str, constraints: Sequence[Constraint]) -> None:
@@ -148,17 +148,17 @@ class Union(Constraint):
         self.needs_code = any(part.needs_code for part in self._constraints)
 
     def __repr__(self) -> str:
-        """Return Python that makes this union again."""
+        """Return Python code that makes this union again."""
         return f"Union({self._name!r}, {list(self._constraints)!r})"
 
     @property
     def name(self) -> str:
-        """The name it was given."""
+        """The name that the union was given."""
         return self._name
 
     @property
     def parts(self) -> tuple[Constraint, ...]:
-        """The constraints that are no unions, of all its unions."""
+        """The parts of the union; a part that is a union is replaced by its own parts."""
         return tuple(part for constraint in self._constraints for part in constraint.parts)
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
@@ -168,7 +168,7 @@ class Union(Constraint):
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """For each state that a part names an interval that holds those of the parts."""
+        """For each state that a part names, an interval that holds the intervals of all parts."""
         found: dict[str, tuple[float, float]] = {}
         for part in self._constraints:
             for name, (low, high) in part.spans.items():
@@ -189,7 +189,7 @@ class Union(Constraint):
         return _any(part.forbids(actions) for part in self._constraints)
 
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
-        """Return [...] True where an action begun in a state lies in one of the parts."""
+        """Return [...] True where an action is forbidden by a part in the state where it begins."""
         return _any(part.forbids_in(states, actions, space) for part in self._constraints)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
@@ -197,7 +197,7 @@ class Union(Constraint):
         return np.min([part.distance(states, space) for part in self._constraints], axis=0)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Union:
-        """Return the union of the parts, each less the margin, also where one adjoins another."""
+        """Return the union of the parts, each less the margin, also where two parts adjoin."""
         return Union(self._name, [part.eroded(margin, space) for part in self._constraints])
 
     def to_json(self) -> dict[str, Any]:
@@ -206,87 +206,14 @@ class Union(Constraint):
         return {"kind": "union", "name": self._name, "constraints": parts}
 
 
-class Predicate(Constraint):
-    """The states for which a function of yours says True.
-
-    Args:
-      name: what tables call it.
-      function: maps states [..., n] to booleans [...]; written with operators and
-        `states.__array_namespace__()` or `jax.numpy`, so that it also works while JAX traces it.
-      num_points: how many evenly spaced points of a segment between two states are tried.
-
-    Raises:
-      ValueError: if the name is no text, the function none, or the number not 1 or more.
-    """
-
-    needs_code = True
-
-    def __init__(self, name: str, function: Callable[[Any], Any], num_points: int = 8) -> None:
-        if not isinstance(name, str):
-            raise ValueError(f"Predicate: expected a name first, got {name!r}")
-        if not callable(function):
-            raise ValueError(f"Predicate {name!r}: expected a function of states, got {function!r}")
-        self._name = name
-        self.function = function
-        self.num_points = whole_number(num_points, f"Predicate {name!r}: num_points", 1)
-
-    def __repr__(self) -> str:
-        """Return for example "Predicate('disc', in_disc, num_points=8)", without addresses."""
-        function = getattr(self.function, "__name__", type(self.function).__name__)
-        return f"Predicate({self.name!r}, {function}, num_points={self.num_points})"
-
-    @property
-    def name(self) -> str:
-        """The name it was given."""
-        return self._name
-
-    def contains(self, states: Any, space: StateSpace) -> Any:
-        """Return [...] True where a state [..., n] lies in the set."""
-        inside = self.function(states)
-        shape, kind = (
-            getattr(inside, "shape", None),
-            str(getattr(inside, "dtype", type(inside).__name__)),
-        )
-        if shape != states.shape[:-1] or kind != "bool":
-            raise ValueError(
-                f"Predicate {self.name!r}: expected one boolean a state, shape "
-                f"{states.shape[:-1]}, got {kind} of shape {shape}"
-            )
-        return inside
-
-    def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where one of `num_points` points of the segment lies in the set."""
-        steps = space.difference(starts, ends)
-        hit = self.contains(starts, space)
-        for k in range(1, self.num_points + 1):
-            hit = hit | self.contains(starts + steps * (k / self.num_points), space)
-        return hit
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data: the name alone, since code is never stored."""
-        return {"kind": "predicate", "name": self.name, "num_points": self.num_points}
-
-
 def nowhere(values: Any) -> Any:
     """Return [...] False for values [..., k]."""
     return values.__array_namespace__().zeros(values.shape[:-1], bool)
 
 
 def _any(masks: Iterable[Any]) -> Any:
-    """Return where at least one of some masks is True."""
+    """Return where at least one of the masks is True."""
     return functools.reduce(operator.or_, masks)
-
-
-def missing_function(name: str) -> Callable[[Any], Any]:
-    """Return what stands for the function of a predicate that was read from a file."""
-
-    def function(states: Any) -> Any:
-        raise ValueError(
-            f"predicate {name!r} was read from a file, which holds its name and not its code: "
-            "load the problem that defines it"
-        )
-
-    return function
 
 
 def check_constraints(
@@ -295,7 +222,7 @@ def check_constraints(
     """Return the constraints as a tuple after checking each against the states and actions.
 
     Raises:
-      ValueError: if one is no Constraint or does not fit; `where` names the argument.
+      ValueError: if an item is no Constraint or does not fit; `where` names the argument.
     """
     if isinstance(constraints, Constraint):
         raise ValueError(f"{where}: expected a list of constraints, got {constraints!r} alone")
@@ -312,6 +239,36 @@ def check_constraints(
     return checked
 
 
+def step_enters(
+    constraint: Constraint,
+    starts: Any,
+    ends: Any,
+    space: StateSpace,
+    between_states: bool,
+    actions: Actions | None = None,
+) -> Any:
+    """Return [...] True where a step enters the constraint: the one rule of what entering is.
+
+    A step enters a constraint where the segment between its two states meets the set or, if states
+    alone are judged, where its end lies in the set; and where its action lies in the set.
+
+    Args:
+      constraint: the forbidden set.
+      starts: [..., n] states in which steps begin, NumPy or JAX.
+      ends: [..., n] states in which steps end.
+      space: what the n components are.
+      between_states: whether the segments between states count as well.
+      actions: [..., m] of the steps; without actions the states alone are judged.
+    """
+    if between_states:
+        hit = constraint.crosses(starts, ends, space)
+    else:
+        hit = constraint.contains(ends, space)
+    if actions is None or not constraint.about_actions:
+        return hit
+    return hit | constraint.forbids_in(starts, actions, space)
+
+
 def violates(
     constraint: Constraint,
     states: np.ndarray,
@@ -319,22 +276,22 @@ def violates(
     between_states: bool,
     actions: Actions | None = None,
 ) -> np.ndarray:
-    """Return [...] True where a trajectory enters the constraint.
+    """Return [...] True where a trajectory enters the constraint: one of its steps, or its start.
 
-    A single state, T = 0, is a trajectory too: it is judged as it is.
+    A single state, T = 0, is a trajectory too: it enters the constraint where it lies in the set.
 
     Args:
-      constraint: what it is not to enter.
+      constraint: the forbidden set.
       states: [..., T+1, n].
       space: what the n components are.
       between_states: whether the segments between states count as well.
-      actions: [..., T, m], which must be there if the constraint is about actions.
+      actions: [..., T, m], required if the constraint is about actions.
     """
-    if between_states and states.shape[-2] > 1:
-        hit = constraint.crosses(states[..., :-1, :], states[..., 1:, :], space).any(axis=-1)
-    else:
-        hit = constraint.contains(states, space).any(axis=-1)
-    if not constraint.about_actions:
+    if states.shape[-2] <= 1:
+        return constraint.contains(states, space).any(axis=-1)
+    assert actions is not None or not constraint.about_actions
+    starts, ends = states[..., :-1, :], states[..., 1:, :]
+    hit = step_enters(constraint, starts, ends, space, between_states, actions).any(axis=-1)
+    if between_states:  # a segment holds its start
         return hit
-    assert actions is not None
-    return hit | constraint.forbids_in(states[..., :-1, :], actions, space).any(axis=-1)
+    return hit | constraint.contains(states[..., :1, :], space).any(axis=-1)

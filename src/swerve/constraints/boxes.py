@@ -9,7 +9,7 @@ import itertools
 import keyword
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,28 +17,25 @@ from swerve.base.arguments import numbers
 from swerve.base.space import TWO_PI, Actions, StateSpace, is_full_turn
 from swerve.constraints.base import Constraint, nowhere
 
-if TYPE_CHECKING:
-    from swerve.problem.mdp import MDP
-
 
 class Box(Constraint):
     """The states whose named components lie in half-open intervals [low, high).
 
-    Components that are not named are free. The interval of an angle may lie anywhere and may wrap:
+    Components without an interval are free. The interval of an angle may lie anywhere and may wrap:
     `Box(theta=(3.0, 3.5))` and `Box(theta=(3.0 - 2 * pi, 3.5 - 2 * pi))` are the same set.
 
     Args:
       **intervals: for each named state (low, high), in that state's unit; +-inf leaves a side open.
 
     Raises:
-      ValueError: if there is no interval, or one is empty or not a pair of numbers.
+      ValueError: if there is no interval, or an interval is empty or not a pair of numbers.
     """
 
     def __init__(self, **intervals: tuple[float, float]) -> None:
         self.intervals = _checked_intervals("Box", intervals)
 
     def __repr__(self) -> str:
-        """Return Python that makes this box again, to the last digit."""
+        """Return Python code that makes this box again, to the last digit."""
         return call("Box", [], _sides(self.intervals))
 
     @property
@@ -48,7 +45,7 @@ class Box(Constraint):
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """Its intervals."""
+        """The intervals of the box."""
         return self.intervals
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
@@ -67,14 +64,19 @@ class Box(Constraint):
         for name, (low, high) in self.intervals.items():
             value = states[..., space.column(name)]
             if name in space.angles:
-                # twice, since a tiny negative number modulo 2 pi is rounded to 2 pi itself
+                # modulo twice, since a tiny negative number modulo 2 pi is rounded to 2 pi itself
                 inside = inside & ((value - low) % TWO_PI % TWO_PI < high - low)
             else:
                 inside = inside & (low <= value) & (value < high)
         return inside
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where the segment meets the box (the slab test, images of angles)."""
+        """Return [...] True where the segment meets the box.
+
+        The slab test: the segment lies between two sides of the box for an interval of its length;
+        the segment meets the box where the intervals of all components overlap. The box is tried
+        one turn away along each angle too.
+        """
         xp = starts.__array_namespace__()
         steps = space.difference(starts, ends)
         hit = self.contains(starts, space) | self.contains(ends, space)
@@ -90,7 +92,7 @@ class Box(Constraint):
         return hit
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
-        """Return the Euclidean distance [...] of states [..., n] over the states that it names."""
+        """Return the Euclidean distance [...] of states [..., n], over the named states."""
         parts = [
             interval_distance(states[..., space.column(name)], low, high, name in space.angles)
             for name, (low, high) in self.intervals.items()
@@ -98,9 +100,9 @@ class Box(Constraint):
         return np.linalg.norm(parts, axis=0)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Box:
-        """Return the box less a margin on both sides of every interval that has sides.
+        """Return the box less a margin on both sides of every interval.
 
-        Open sides stay open, and a full turn is all there is.
+        Open sides stay open, and the full turn of an angle, which has no sides, stays full.
         """
         intervals = {}
         for name, (low, high) in self.intervals.items():
@@ -126,7 +128,7 @@ class ActionBox(Constraint):
       **intervals: for each named component (low, high), in its unit; +-inf leaves a side open.
 
     Raises:
-      ValueError: if there is no interval, or one is empty or not a pair of numbers.
+      ValueError: if there is no interval, or an interval is empty or not a pair of numbers.
     """
 
     about_actions = True
@@ -135,7 +137,7 @@ class ActionBox(Constraint):
         self.intervals = _checked_intervals("ActionBox", intervals)
 
     def __repr__(self) -> str:
-        """Return Python that makes this box again, to the last digit."""
+        """Return Python code that makes this box again, to the last digit."""
         return call("ActionBox", [], _sides(self.intervals))
 
     @property
@@ -167,17 +169,17 @@ class ActionBox(Constraint):
             inside = inside & (low <= value) & (value < high)
         return inside
 
-    def among(self, mdp: MDP) -> np.ndarray:
-        """Return [A] which of the discretised actions of an MDP it forbids."""
-        table = np.asarray(mdp.actions, float)
-        return np.asarray(self.forbids(Actions(tuple(mdp.action_names), table)))
+    def among(self, action_names: Sequence[str], actions: Any) -> np.ndarray:
+        """Return [A] which rows of a table of actions [A, m] the box forbids."""
+        table = np.asarray(actions, float)
+        return np.asarray(self.forbids(Actions(tuple(action_names), table)))
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
-        """Return [...] infinity: it is about no states, so none is near it."""
+        """Return [...] infinity: no state is near a box of actions."""
         return np.full(np.shape(states)[:-1], np.inf)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> ActionBox:
-        """Return itself: the margin is about states."""
+        """Return the box itself: the margin is about states."""
         del margin, space
         return self
 
@@ -187,7 +189,7 @@ class ActionBox(Constraint):
 
 
 def interval_distance(values: np.ndarray, low: Any, high: Any, is_angle: bool) -> np.ndarray:
-    """Return how far values are from intervals [low, high); by the shorter arc for angles."""
+    """Return the distance of values to intervals [low, high); by the shorter arc for angles."""
     if not is_angle:
         return np.maximum(0.0, np.maximum(low - values, values - high))
     above, width = (values - low) % TWO_PI, high - low
@@ -224,7 +226,7 @@ def _checked_intervals(
 
 
 def call(kind: str, arguments: Sequence[str], named: Mapping[str, str]) -> str:
-    """Return Python that makes a constraint, from the Python of its arguments."""
+    """Return Python code that makes a constraint, from the Python code of its arguments."""
     if all(name.isidentifier() and not keyword.iskeyword(name) for name in named):
         return f"{kind}({', '.join([*arguments, *(f'{k}={v}' for k, v in named.items())])})"
     pairs = ", ".join(f"{name!r}: {value}" for name, value in named.items())
@@ -232,12 +234,12 @@ def call(kind: str, arguments: Sequence[str], named: Mapping[str, str]) -> str:
 
 
 def short(value: float) -> str:
-    """Return a number with three digits, 0 without a sign."""
+    """Return a number as text of three digits, 0 without a sign."""
     return f"{value:.3g}" if value != 0 else "0"
 
 
 def _sides(intervals: dict[str, tuple[float, float]]) -> dict[str, str]:
-    """Return the Python of intervals."""
+    """Return the Python code of intervals."""
     return {
         name: f"({', '.join(_literal(value) for value in interval)})"
         for name, interval in intervals.items()

@@ -1,10 +1,10 @@
-"""What a map says cannot be entered: a picture of walls as a constraint.
+"""Constraints given by a map of blocked cells, such as the walls of a room.
 
     cell(x, y) = (floor((y - y_0) / w), floor((x - x_0) / w)),   forbidden where blocked[cell],
 
-with (x_0, y_0) the lower left corner of the map and w the side of its cells. What lies beyond the
-map is forbidden. A segment is tried at points no further apart than half a cell, so that it can
-only miss the tip of a corner.
+with (x_0, y_0) the lower left corner of the map and w the side of its cells. All beyond the map is
+forbidden. A segment is tried at points no further apart than half a cell, so that the test can only
+miss a segment across the tip of a corner.
 
 Shapes: R rows of the map, upwards, C columns, n state dimensions, ... any batch dimensions.
 """
@@ -24,14 +24,14 @@ from swerve.base.arguments import numbers, positive_number, two_names
 from swerve.base.space import StateSpace
 from swerve.constraints.base import Constraint
 
-SPACING = 0.5  # cells, between two points of a segment that are tried
+SPACING = 0.5  # cells between two tried points of a segment: only the tip of a corner is missed
 
 
 class Occupancy(Constraint):
-    """The places that a map shows as blocked, and all beyond it.
+    """The places that a map shows as blocked, and all beyond the map.
 
     Args:
-      name: what tables call it.
+      name: of the constraint, in tables.
       blocked: [R, C] True where nobody can be; the first row is the lowest.
       corner: (x, y) of the lower left corner of the map, in the states' unit.
       cell: side of a cell, in the states' unit.
@@ -64,7 +64,7 @@ class Occupancy(Constraint):
         self.corner = tuple(place)
 
     def __repr__(self) -> str:
-        """Return what tells one map from another, without the map."""
+        """Return for example "Occupancy('walls', <20 x 30 cells>, (0.0, 0.0), 0.1, ('x', 'y'))"."""
         rows, columns = self.blocked.shape
         return (
             f"Occupancy({self._name!r}, <{rows} x {columns} cells>, {self.corner}, {self.cell}, "
@@ -73,13 +73,14 @@ class Occupancy(Constraint):
 
     @property
     def name(self) -> str:
-        """The name it was given."""
+        """The name that the map was given."""
         return self._name
 
     def widened(self, distance: float) -> Occupancy:
-        """Return the places nearer than a distance to one that is blocked, and those.
+        """Return the map with every place blocked that is nearer than a distance to a blocked one.
 
-        The middle of a body as wide cannot come there; beyond the map counts as blocked.
+        The middle of a round body with this radius cannot come there. All beyond the map counts as
+        blocked.
 
         Raises:
           ValueError: if the distance is no finite number above 0.
@@ -112,7 +113,7 @@ class Occupancy(Constraint):
         return beyond | xp.asarray(self.blocked)[row, column]
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where one of enough points of the segment lies in the set."""
+        """Return [...] True where a tried point of the segment lies in the set, see SPACING."""
         xp = starts.__array_namespace__()
         steps = space.difference(starts, ends)
         longest = xp.abs(steps[..., [space.column(name) for name in self.names]]).max(initial=0.0)
@@ -126,7 +127,7 @@ class Occupancy(Constraint):
             for k in range(1, int(count)):
                 hit = tried(k, hit)
             return hit
-        import jax  # which the caller uses already
+        import jax  # loaded already: the caller passed JAX arrays
 
         return jax.lax.fori_loop(1, count, tried, hit)
 
@@ -156,7 +157,7 @@ class Occupancy(Constraint):
 
 
 def _as_array(blocked: Any) -> np.ndarray:
-    """Return an array of its own; of objects, which is refused, where rows differ in length."""
+    """Return a copy as an array; of objects, which are refused, where rows differ in length."""
     try:
         return np.array(blocked)
     except ValueError:

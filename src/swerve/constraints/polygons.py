@@ -1,303 +1,171 @@
-"""Polygons: what they enclose, how far their edges are, and where a line can cross them.
+"""Constraints that are polygons over two of the states.
 
-A point is enclosed where a ray from it to the right crosses an odd number of edges; an edge from
-(x1, y1) to (x2, y2) is crossed at height y where
+    x lies inside    where a ray from x crosses the edges an odd number of times;
 
-    (y1 > y) != (y2 > y)    and    x < x1 + (x2 - x1) (y - y1) / (y2 - y1).
+with a depth d, where x is also farther than d from every edge. `polygon_geometry` computes both.
 
-What is called with points works alike on NumPy and JAX arrays. All edges are tried at once, and on
-NumPy only for points that may lie inside, see `where_near`.
-
-Shapes: V vertices and as many edges, C lines and circles, M points, ... any batch dimensions.
+Shapes: V vertices, n state dimensions, ... any batch dimensions.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from swerve.base.arguments import numbers
+from swerve.base.arguments import number_or_nan, two_names
+from swerve.base.space import StateSpace
+from swerve.constraints import polygon_geometry
+from swerve.constraints.base import Constraint
+from swerve.constraints.boxes import short
+from swerve.constraints.shapes import check_no_angles
 
-FLAT = 1e-12  # of the square of the extent: less area than this is none
-PRECISION = 0.01  # to which the deepest point is looked for
-BEYOND = 0.01  # of an edge: how far beyond its ends a cut still counts, whatever is rounded
-AT_ONCE = 1 << 15  # pairs of a point and an edge judged at once: what is worked out stays in cache
 
+class Polygon(Constraint):
+    """The states inside a polygon over two of the states; the polygon need not be convex.
 
-def checked_vertices(vertices: Any) -> np.ndarray:
-    """Return vertices [V, 2] after checking that they make a polygon.
+    Whether a state exactly on the edge lies inside depends on rounding.
+
+    Args:
+      vertices: [V, 2] the corners in order, either way round.
+      names: the two states, no angles.
+      depth: states inside lie farther than this from every edge, in the states' unit.
 
     Raises:
-      ValueError: if there are fewer than 3 vertices, one is repeated or not finite, they lie on a
-        line, or the polygon crosses itself.
+      ValueError: if there are fewer than 3 vertices, a vertex is repeated or not finite, all lie on
+        a line, the polygon crosses itself, the depth leaves nothing, or there are not two names.
     """
-    corners = _as_array(vertices)
-    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
-        raise ValueError(
-            "Polygon: expected at least 3 vertices, each a pair of numbers, got an array of shape "
-            f"{corners.shape}"
+
+    def __init__(
+        self, vertices: Any, names: Sequence[str] = ("x", "y"), depth: float = 0.0
+    ) -> None:
+        self.names = two_names(names, "Polygon: names")
+        self.vertices = polygon_geometry.checked_vertices(vertices)
+        self.depth = number_or_nan(depth)
+        if not 0.0 <= self.depth < math.inf:
+            raise ValueError(f"Polygon: expected a finite depth >= 0, got {depth!r}")
+        if self.depth and not self.depth < polygon_geometry.deepest(self.vertices):
+            raise ValueError(
+                f"Polygon: a depth of {self.depth:g} leaves nothing: expected less than "
+                f"{polygon_geometry.deepest(self.vertices):.3g}"
+            )
+        low, high = self.vertices.min(axis=0) + self.depth, self.vertices.max(axis=0) - self.depth
+        self._limits = np.stack([low, high], axis=1).tolist()
+
+    def __repr__(self) -> str:
+        """Return Python code that makes this polygon again, to the last digit."""
+        corners = ", ".join(f"({x!r}, {y!r})" for x, y in self.vertices.tolist())
+        arguments = [f"[{corners}]"]
+        if self.names != ("x", "y"):
+            arguments.append(f"names={self.names!r}")
+        if self.depth:
+            arguments.append(f"depth={self.depth!r}")
+        return f"Polygon({', '.join(arguments)})"
+
+    @property
+    def name(self) -> str:
+        """For example 'polygon of 5 vertices in x [0, 2], y [1, 3]'."""
+        extent = ", ".join(
+            f"{name} [{short(low)}, {short(high)}]" for name, (low, high) in self.spans.items()
         )
-    if not np.isfinite(corners).all():
-        bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=1))[0])
-        raise ValueError(f"Polygon: vertex {bad} is not finite: {corners[bad].tolist()}")
-    for i, corner in enumerate(corners):
-        same = np.flatnonzero((corners[i + 1 :] == corner).all(axis=1))
-        if same.size:
+        deep = f", {short(self.depth)} deep" if self.depth else ""
+        return f"polygon of {len(self.vertices)} vertices in {extent}{deep}"
+
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """From the least to the greatest coordinate of the vertices."""
+        low, high = self.vertices.min(axis=0).tolist(), self.vertices.max(axis=0).tolist()
+        return {name: (low[k], high[k]) for k, name in enumerate(self.names)}
+
+    def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
+        """Raise ValueError where a name is that of no state or of an angle."""
+        check_no_angles("Polygon", self.names, space)
+
+    def contains(self, states: Any, space: StateSpace) -> Any:
+        """Return [...] True where a state [..., n] lies inside, deeper than `depth`."""
+        x, y = self._points(states, space)
+        near = self._is_near((x, x), (y, y))
+        return polygon_geometry.where_near(self._holds, near, (x, y), len(self.vertices))
+
+    def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
+        """Return [...] True where the segment meets the polygon.
+
+        The segment can enter or leave only where it cuts one of the lines and circles on which the
+        edge lies. Between two such cuts the segment is all inside or all outside: its middle tells.
+        """
+        xp = starts.__array_namespace__()
+        (x, y), (end_x, end_y) = self._points(starts, space), self._points(ends, space)
+        spans = [(xp.minimum(a, b), xp.maximum(a, b)) for a, b in ((x, end_x), (y, end_y))]
+        near = self._is_near(*spans)
+        return polygon_geometry.where_near(
+            self._meets, near, (x, y, end_x, end_y), len(self.vertices)
+        )
+
+    def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
+        """Return the Euclidean distance [...] of states [..., n], over the two named states.
+
+        Raises:
+          ValueError: if the polygon has a depth: distances to such a set are not computed.
+        """
+        if self.depth:
+            raise ValueError(f"{self.name}: expected a Polygon without depth to tell distances to")
+        x, y = self._points(np.asarray(states, float), space)
+
+        def outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            square = polygon_geometry.square_to_edge(self.vertices, x, y)
+            return np.where(self._holds(x, y), 0.0, np.sqrt(square))
+
+        flat = [np.reshape(value, -1) for value in (x, y)]
+        return polygon_geometry.blockwise(outside, flat, len(self.vertices)).reshape(np.shape(x))
+
+    def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Polygon:
+        """Return the polygon with its depth greater by the larger margin of its two states."""
+        name = max(self.names, key=lambda name: margin.get(name, 0.0))
+        width = margin.get(name, 0.0)
+        room = polygon_geometry.deepest(self.vertices) - self.depth
+        if width and not width < room:
             raise ValueError(
-                f"Polygon: vertices {i} and {i + 1 + same[0]} are the same, {corner.tolist()}: "
-                "name each once; the last edge leads back to the first vertex"
+                f"margin: {width:g} for {name!r} leaves nothing of {self.name}: expected less than "
+                f"{room:.3g}, the distance of its deepest point from the edge"
             )
-    extent = float(np.ptp(corners, axis=0).max())
-    if np.abs(_turn(corners[0], corners[1], corners[2:])).max() <= FLAT * extent**2:
-        raise ValueError("Polygon: expected an area, but all vertices lie on one line")
-    _check_simple(corners)
-    return corners
+        return Polygon(self.vertices, self.names, self.depth + width)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data."""
+        vertices, names = self.vertices.tolist(), list(self.names)
+        return {"kind": "polygon", "vertices": vertices, "names": names, "depth": self.depth}
 
-def _as_array(vertices: Any) -> np.ndarray:
-    """Return vertices as an array, or raise ValueError with the first that is no pair."""
-    try:
-        corners = np.asarray(vertices)
-        if corners.dtype.kind in "iuf":
-            return corners.astype(float)
-    except ValueError:
-        pass  # the rows are of several lengths
-    listed = list(vertices) if isinstance(vertices, Sequence) else []
-    bad = [
-        k for k, vertex in enumerate(listed) if not np.isfinite(numbers(vertex, 2) or np.nan).all()
-    ]
-    got = f"vertex {bad[0]} is {listed[bad[0]]!r}" if bad else f"got {vertices!r}"
-    raise ValueError(
-        f"Polygon: expected at least 3 vertices, each a pair of numbers, but {got}: give them as "
-        "in [(0.0, 0.0), (2.0, 0.0), (1.0, 1.0)]"
-    )
+    def _points(self, states: Any, space: StateSpace) -> tuple[Any, Any]:
+        first, second = (states[..., space.column(name)] for name in self.names)
+        return first, second
 
+    def _is_near(self, x: tuple[Any, Any], y: tuple[Any, Any]) -> Any:
+        """Return [...] whether ranges (least, greatest) of x and y meet the polygon's rectangle."""
+        (low_x, high_x), (low_y, high_y) = self._limits
+        in_x = (x[1] >= low_x) & (x[0] <= high_x)
+        return in_x & (y[1] >= low_y) & (y[0] <= high_y)
 
-def where_near(judge: Callable[..., Any], near: Any, values: Sequence[Any], num_edges: int) -> Any:
-    """Return [...] where `near` and what points are judged to be.
+    def _meets(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] whether segments have a point inside, both ends included."""
+        hit = self._holds(x, y) | self._holds(end_x, end_y)
+        points = (x, y, end_x, end_y)
+        return hit | polygon_geometry.where_near(self._passes, ~hit, points, len(self.vertices))
 
-    On NumPy only those near are judged. JAX, whose shapes are fixed, judges all.
+    def _passes(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] whether segments have a part inside that need not include an end."""
+        xp = x.__array_namespace__()
+        dx, dy = end_x - x, end_y - y
+        share = polygon_geometry.cuts(self.vertices, self.depth, (x, y), (dx, dy))
+        bounds = xp.zeros_like(x)[None], share, xp.ones_like(x)[None]
+        share = xp.concatenate(bounds)
+        middle = 0.5 * (share[1:] + share[:-1])
+        is_piece = share[1:] > share[:-1]  # a corner that is only touched has no length
+        return (is_piece & self._holds(x + middle * dx, y + middle * dy)).any(axis=0)
 
-    Args:
-      judge: maps values [M] to booleans [M]; the work grows with M and with the edges.
-      near: [...] False where the answer is no.
-      values: each [...].
-      num_edges: V.
-    """
-    if not isinstance(near, np.ndarray | np.bool_):
-        return near & judge(*values)
-    found, rows = np.zeros(near.size, bool), np.flatnonzero(near)
-    if rows.size:
-        picked = [np.reshape(value, -1)[rows] for value in values]
-        found[rows] = blockwise(judge, picked, num_edges)
-    return found.reshape(near.shape)
-
-
-def blockwise(function: Callable[..., Any], values: Sequence[Any], num_edges: int) -> np.ndarray:
-    """Return [M] what a function makes of values, each [M], some at a time so as to need little."""
-    size = max(1, AT_ONCE // num_edges)
-    blocks = range(0, max(1, len(values[0])), size)
-    return np.concatenate([function(*(v[k : k + size] for v in values)) for k in blocks])
-
-
-def encloses(vertices: np.ndarray, x: Any, y: Any) -> Any:
-    """Return [...] True where points lie inside a polygon, by the number of crossings."""
-    (x1, y1), (x2, y2) = _edges(vertices, np.ndim(x))
-    slope = (x2 - x1) / np.where(y1 == y2, 1.0, y2 - y1)
-    crossed = ((y1 > y) != (y2 > y)) & (x < x1 + slope * (y - y1))
-    return x.__array_namespace__().logical_xor.reduce(crossed, axis=0)
-
-
-def square_to_edge(vertices: np.ndarray, x: Any, y: Any) -> Any:
-    """Return the square of the distance [...] of points to the nearest edge."""
-    return _squares_to_edges(vertices, x, y).min(axis=0)
-
-
-def is_farther(vertices: np.ndarray, distance: float, x: Any, y: Any) -> Any:
-    """Return [...] True where points are farther than a distance from every edge."""
-    return (_squares_to_edges(vertices, x, y) > distance**2).all(axis=0)
-
-
-def cuts(vertices: np.ndarray, depth: float, start: Any, step: Any) -> Any:
-    """Return where segments start + u * step may cross the edge of what is deeper than a depth.
-
-    That edge lies on lines beside the polygon's edges, and on circles around its vertices.
-
-    Args:
-      vertices: [V, 2].
-      depth: 0 for the polygon itself.
-      start: x and y, each [...].
-      step: likewise.
-
-    Returns:
-      [C, ...] values of u in ascending order, all of the crossings with 0 < u < 1 among them; 0
-      where a line or circle is not cut there. On NumPy C is the largest number of cuts.
-    """
-    (x, y), (dx, dy) = start, step
-    xp = x.__array_namespace__()
-    (x1, y1), (x2, y2) = _edges(vertices, np.ndim(x))
-    length = np.hypot(x2 - x1, y2 - y1)
-    nx, ny = (y1 - y2) / length, (x2 - x1) / length
-    slope, height = nx * dx + ny * dy, nx * (x - x1) + ny * (y - y1)
-    divisor = xp.where(slope == 0, 1.0, slope)
-    found = []
-    for side in (depth, -depth) if depth else (0.0,):
-        share = (side - height) / divisor
-        along = (ny * (x + share * dx - x1) - nx * (y + share * dy - y1)) / length
-        beside = (slope != 0) & (along > -BEYOND) & (along < 1.0 + BEYOND)
-        found.append(xp.where(beside, share, 0.0))
-    if depth:
-        found += _circle_cuts((x - x1, y - y1), (dx, dy), depth)
-    share = xp.concatenate(found)
-    share = xp.sort(xp.where((share > 0.0) & (share < 1.0), share, 0.0), axis=0)
-    if isinstance(share, np.ndarray):
-        return share[share.reshape(len(share), -1).any(axis=1)]
-    return share
-
-
-def deepest(vertices: np.ndarray) -> float:
-    """Return how far a point inside can be from every edge, at most 1 % too little.
-
-    Squares that cover the polygon are split in four, as long as one may hold a point that is deeper
-    than the deepest so far: no point is deeper than the middle and half the diagonal.
-    """
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    half = float((high - low).min()) / 2
-    count = np.ceil((high - low) / (2 * half)).astype(int)
-    axes = [low[k] + half * (2 * np.arange(count[k]) + 1) for k in range(2)]
-    middles = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    corners, best = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)]), 0.0
-
-    def depths(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return how deep points [M] are, below 0 outside."""
-        to_edge = np.sqrt(square_to_edge(vertices, x, y))
-        return np.where(encloses(vertices, x, y), to_edge, -to_edge)
-
-    while len(middles):
-        depth = blockwise(depths, list(middles.T), len(vertices))
-        best = max(best, float(depth.max()))
-        middles = middles[depth + math.sqrt(2.0) * half > best * (1.0 + PRECISION)]
-        half /= 2
-        middles = (middles[:, None] + half * corners).reshape(-1, 2)
-    return best
-
-
-def clipped(vertices: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return what is left of a polygon [V, 2] within limits [2, 2], (low, high) of x and of y.
-
-    One side after the other is cut off (Sutherland and Hodgman); what falls into several parts
-    stays one, joined along the side.
-    """
-    for axis, (low, high) in enumerate(limits.tolist()):
-        for sign, limit in ((1.0, low), (-1.0, -high)):
-            normal = np.zeros(2)
-            normal[axis] = sign
-            vertices = cut_off(vertices, normal, limit)
-    return vertices
-
-
-def triangles(vertices: np.ndarray) -> np.ndarray:
-    """Return triangles [.., 3, 2] that make up a polygon [V, 2], their corners going to the left.
-
-    Ears are cut off one after another: corners that turn left, with no other vertex within.
-    """
-    doubled = np.sum(_turn(vertices[0], vertices, np.roll(vertices, -1, axis=0)))
-    left = list(vertices if doubled > 0 else vertices[::-1])
-    found = []
-    while len(left) > 3:
-        ear = min(range(len(left)), key=lambda k: _is_blocked(left, k))
-        found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
-        del left[ear]
-    cut = np.array([*found, left])
-    return cut[_turn(*np.moveaxis(cut, 1, 0)) > 0]  # none that a vertex on an edge makes
-
-
-def _is_blocked(corners: list[np.ndarray], k: int) -> bool:
-    """Return whether corner k of a polygon that goes to the left is no ear."""
-    a, b, c = corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
-    ends = {(k - 1) % len(corners), k, (k + 1) % len(corners)}
-    others = np.array([corner for j, corner in enumerate(corners) if j not in ends])
-    within = (_turn(a, b, others) >= 0) & (_turn(b, c, others) >= 0) & (_turn(c, a, others) >= 0)
-    return bool(_turn(a, b, c) < 0) or bool(within.any())
-
-
-def cut_off(vertices: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
-    """Return what of a polygon [V, 2] has normal . point >= offset, no vertex if nothing has."""
-    height = vertices @ normal - offset
-    kept = []
-    for k in range(len(vertices)):
-        a, b = height[k - 1], height[k]
-        if (a >= 0) != (b >= 0):
-            kept.append(vertices[k - 1] + a / (a - b) * (vertices[k] - vertices[k - 1]))
-        if b >= 0:
-            kept.append(vertices[k])
-    return np.array(kept).reshape(-1, 2)
-
-
-def _squares_to_edges(vertices: np.ndarray, x: Any, y: Any) -> Any:
-    """Return the square of the distance [V, ...] of points [...] to each edge."""
-    xp = x.__array_namespace__()
-    (x1, y1), (x2, y2) = _edges(vertices, np.ndim(x))
-    dx, dy = x2 - x1, y2 - y1
-    share = xp.clip(((x - x1) * dx + (y - y1) * dy) / (dx**2 + dy**2), 0.0, 1.0)
-    return (x - x1 - share * dx) ** 2 + (y - y1 - share * dy) ** 2
-
-
-def _circle_cuts(start: Any, step: Any, radius: float) -> list[Any]:
-    """Return the two u [...] where start + u * step is at a distance from the origin, else 0."""
-    (x, y), (dx, dy) = start, step
-    xp = x.__array_namespace__()
-    square, dot = dx**2 + dy**2, x * dx + y * dy
-    inner = dot**2 - square * (x**2 + y**2 - radius**2)
-    meets = (inner > 0) & (square > 0)
-    root, divisor = xp.sqrt(xp.where(meets, inner, 0.0)), xp.where(meets, square, 1.0)
-    return [xp.where(meets, (-dot + sign * root) / divisor, 0.0) for sign in (1.0, -1.0)]
-
-
-def _check_simple(corners: np.ndarray) -> None:
-    """Raise ValueError where two edges meet elsewhere than in the vertex that they share."""
-    others = np.roll(corners, -1, axis=0)
-    for i in range(len(corners) - 1):
-        a, b, c, d = corners[i], others[i], corners[i + 1 :], others[i + 1 :]
-        meet = _meet(a, b, c, d)
-        meet[0] = _folds_back(b, a, d[0])
-        if i == 0:
-            meet[-1] = _folds_back(a, b, c[-1])
-        if meet.any():
-            k = int(meet.argmax())
-            raise ValueError(
-                f"Polygon: edge {i}, from {a.tolist()} to {b.tolist()}, meets edge {i + 1 + k}, "
-                f"from {c[k].tolist()} to {d[k].tolist()}: give the vertices in order, so that it "
-                "does not cross itself"
-            )
-
-
-def _folds_back(shared: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two edges leave the vertex that they share in the same direction."""
-    return bool(_turn(shared, one, other) == 0) and float((one - shared) @ (other - shared)) > 0
-
-
-def _meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return [M] whether the segment from a to b [2] has a point in common with c to d [M, 2]."""
-    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    sides = [_turn(p, q, r) for p, q, r in ends]
-    meet = (sides[0] * sides[1] < 0) & (sides[2] * sides[3] < 0)
-    for side, (p, q, r) in zip(sides, ends, strict=True):
-        within = (np.minimum(p, q) <= r) & (r <= np.maximum(p, q))
-        meet |= (side == 0) & within.all(axis=-1)
-    return meet
-
-
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return [...] twice the area of triangles a, b, c [..., 2], above 0 where they turn left."""
-    (ux, uy), (vx, vy) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
-    return ux * vy - uy * vx
-
-
-def _edges(vertices: np.ndarray, num_dims: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where edges begin and end, [2, V, ...] with a 1 for each of the points' dimensions."""
-    begin = vertices.T.reshape(2, -1, *[1] * num_dims)
-    return begin, np.roll(begin, -1, axis=1)
+    def _holds(self, x: Any, y: Any) -> Any:
+        inside = polygon_geometry.encloses(self.vertices, x, y)
+        if self.depth:
+            inside = inside & polygon_geometry.is_farther(self.vertices, self.depth, x, y)
+        return inside

@@ -1,8 +1,8 @@
-"""Actions that are forbidden in some states alone, such as fast driving in a narrow place.
+"""Constraints that forbid actions in some states alone, such as fast driving in a narrow place.
 
     (s_t, a_t) lies in c    where s_t lies in the states and a_t in the actions,
 
-s_t being the state in which the action is begun, wherever it leads.
+s_t being the state in which the action begins, wherever the action leads.
 
 Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 """
@@ -20,11 +20,11 @@ from swerve.constraints.boxes import ActionBox
 
 
 class StateAction(Constraint):
-    """Some actions, forbidden in some states: being there is not, nor the actions elsewhere.
+    """Some actions, forbidden in some states; the states alone and the actions elsewhere are not.
 
     Args:
-      states: where the actions are forbidden.
-      actions: which.
+      states: the states in which the actions are forbidden.
+      actions: the actions that are forbidden there.
 
     Raises:
       ValueError: if `states` is no constraint on states alone, or `actions` is no ActionBox.
@@ -44,7 +44,7 @@ class StateAction(Constraint):
         self.needs_code = states.needs_code
 
     def __repr__(self) -> str:
-        """Return Python that makes this constraint again."""
+        """Return Python code that makes this constraint again."""
         return f"StateAction({self.states!r}, {self.actions!r})"
 
     @property
@@ -54,7 +54,7 @@ class StateAction(Constraint):
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """Those of its states."""
+        """The spans of its states."""
         return self.states.spans
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
@@ -71,11 +71,11 @@ class StateAction(Constraint):
         return nowhere(starts)
 
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
-        """Return [...] True where an action is forbidden and begun where it is."""
+        """Return [...] True where an action is forbidden in the state [..., n] where it begins."""
         return self.states.contains(states, space) & self.actions.forbids(actions)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
-        """Return the distance [...] of states [..., n] to those where the actions are forbidden."""
+        """Return the distance [...] of states [..., n] to the states of the constraint."""
         return self.states.distance(states, space)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> StateAction:

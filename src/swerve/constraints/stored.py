@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from swerve.constraints.base import Constraint, Predicate, Union, missing_function
+from swerve.constraints.base import Constraint, Union
 from swerve.constraints.boxes import ActionBox, Box
 from swerve.constraints.occupancy import Occupancy
-from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+from swerve.constraints.polygons import Polygon
+from swerve.constraints.predicate import Predicate, missing_function
+from swerve.constraints.shapes import Ball, HalfSpace
 from swerve.constraints.state_action import StateAction
 
 

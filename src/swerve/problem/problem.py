@@ -117,7 +117,7 @@ def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
     for index in range(len(hypotheses)):
         for part in hypotheses.constraint(index).parts:
             box = part.actions if isinstance(part, StateAction) else part
-            if isinstance(box, ActionBox) and not box.among(mdp).any():
+            if isinstance(box, ActionBox) and not box.among(mdp.action_names, table).any():
                 raise ValueError(
                     f"hypotheses: {part.name} forbids none of the {len(table)} actions of "
                     f"{type(mdp).__name__} ({span}), so that nothing would tell it from no "

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from swerve.base.space import Actions
-from swerve.constraints.base import Constraint
+from swerve.constraints.base import Constraint, step_enters
 from swerve.problem.mdp import MDP
 from swerve.problem.problem import Problem
 
@@ -78,15 +78,10 @@ def enters(
     action: Float[Array, " m"] | None = None,
 ) -> Bool[Array, ""]:
     """Return whether a step, by an action if one is given, enters one of the known constraints."""
+    taken = None if action is None else Actions(tuple(mdp.action_names), action)
     hit = jnp.zeros((), bool)
     for constraint in known:
-        if between_states:
-            hit = hit | constraint.crosses(state, next_state, mdp.space)
-        else:
-            hit = hit | constraint.contains(next_state, mdp.space)
-        if action is not None and constraint.about_actions:
-            taken = Actions(tuple(mdp.action_names), action)
-            hit = hit | constraint.forbids_in(state, taken, mdp.space)
+        hit = hit | step_enters(constraint, state, next_state, mdp.space, between_states, taken)
     return hit
 
 

@@ -1,0 +1,86 @@
+"""Constraints given by a Python function of states, for sets that no other constraint describes.
+
+Shapes: n state dimensions, ... any batch dimensions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from swerve.base.arguments import whole_number
+from swerve.base.space import StateSpace
+from swerve.constraints.base import Constraint
+
+
+class Predicate(Constraint):
+    """The states for which a function of yours returns True.
+
+    Args:
+      name: of the predicate, in tables.
+      function: maps states [..., n] to booleans [...]; written with operators and
+        `states.__array_namespace__()` or `jax.numpy`, so that JAX can trace the function too.
+      num_points: how many evenly spaced points of a segment between two states are tried.
+
+    Raises:
+      ValueError: if the name is no text, the function cannot be called, or the number is below 1.
+    """
+
+    needs_code = True
+
+    def __init__(self, name: str, function: Callable[[Any], Any], num_points: int = 8) -> None:
+        if not isinstance(name, str):
+            raise ValueError(f"Predicate: expected a name first, got {name!r}")
+        if not callable(function):
+            raise ValueError(f"Predicate {name!r}: expected a function of states, got {function!r}")
+        self._name = name
+        self.function = function
+        self.num_points = whole_number(num_points, f"Predicate {name!r}: num_points", 1)
+
+    def __repr__(self) -> str:
+        """Return for example "Predicate('disc', in_disc, num_points=8)", without addresses."""
+        function = getattr(self.function, "__name__", type(self.function).__name__)
+        return f"Predicate({self.name!r}, {function}, num_points={self.num_points})"
+
+    @property
+    def name(self) -> str:
+        """The name that the predicate was given."""
+        return self._name
+
+    def contains(self, states: Any, space: StateSpace) -> Any:
+        """Return [...] True where a state [..., n] lies in the set."""
+        inside = self.function(states)
+        shape, kind = (
+            getattr(inside, "shape", None),
+            str(getattr(inside, "dtype", type(inside).__name__)),
+        )
+        if shape != states.shape[:-1] or kind != "bool":
+            raise ValueError(
+                f"Predicate {self.name!r}: expected one boolean a state, shape "
+                f"{states.shape[:-1]}, got {kind} of shape {shape}"
+            )
+        return inside
+
+    def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
+        """Return [...] True where one of `num_points` points of the segment lies in the set."""
+        steps = space.difference(starts, ends)
+        hit = self.contains(starts, space)
+        for k in range(1, self.num_points + 1):
+            hit = hit | self.contains(starts + steps * (k / self.num_points), space)
+        return hit
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON data: the name without the function, since code is never stored."""
+        return {"kind": "predicate", "name": self.name, "num_points": self.num_points}
+
+
+def missing_function(name: str) -> Callable[[Any], Any]:
+    """Return a function that raises ValueError, for a predicate that was read from a file."""
+
+    def function(states: Any) -> Any:
+        raise ValueError(
+            f"predicate {name!r} was read from a file, which holds its name and not its code: "
+            "load the problem that defines it"
+        )
+
+    return function
