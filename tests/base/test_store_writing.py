@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from support.stored_files import ARRAYS, HEADER, KIND, VERSION, assert_same, child_environment, read
 
-from swerve.base import store
+from swerve.base import files, store
 
 NOBODY = 65534
 
@@ -128,7 +128,7 @@ def test_concurrent_writers_leave_one_whole_content(path: Path) -> None:
 
 def test_a_killed_writer_leaves_the_old_or_the_new_content(tmp_path: Path) -> None:
     code = (
-        "import itertools, sys, numpy as np; from swerve import store\n"
+        "import itertools, sys, numpy as np; from swerve.base import store\n"
         "for n in itertools.count():\n"
         "    arrays = {'a': np.full(300_000, n), 'b': np.full(7, n)}\n"
         f"    store.write(sys.argv[1], {KIND!r}, {VERSION}, {{'n': n}}, arrays)"
@@ -174,19 +174,19 @@ def test_a_folder_of_others_is_named_with_what_to_do() -> None:
         theirs = folder / "theirs"
         message = f"in {theirs}: Permission denied; choose a folder that you can write"
         with pytest.raises(PermissionError, match=message):
-            store.check_writable(theirs)
+            files.check_writable(theirs)
         with pytest.raises(PermissionError, match=f"in {theirs}/new: Permission denied; choose a"):
-            store.check_writable(theirs / "new")
+            files.check_writable(theirs / "new")
         with pytest.raises(PermissionError, match=f"cannot write f.swerve {message}"):
             store.write(theirs / "f.swerve", KIND, VERSION, {}, {})
         with pytest.raises(PermissionError, match=f"cannot write f.json {message}"):
             store.write_json(theirs / "f.json", {})
         assert list(theirs.iterdir()) == []
 
-        store.check_writable(folder / "ours" / "new" / "deep")
+        files.check_writable(folder / "ours" / "new" / "deep")
         assert list((folder / "ours" / "new" / "deep").iterdir()) == []
 
 
 def test_a_file_is_no_folder(path: Path) -> None:
     with pytest.raises(FileExistsError, match=f"cannot write in {path}: File exists; choose a"):
-        store.check_writable(path)
+        files.check_writable(path)

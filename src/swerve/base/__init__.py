@@ -1,1 +1,1 @@
-"""Package."""
+"""Ground of all packages: what knows no constraint, no problem and no trajectory."""

@@ -1,1 +1,1 @@
-"""Package."""
+"""Demonstrations: recorded data, read from files and checked before anything is computed."""

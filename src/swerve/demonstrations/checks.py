@@ -1,6 +1,6 @@
 """Checks of recorded states and of tasks, before anything is computed from them.
 
-Every message says where (file, row, column), what was expected, what came, and what to do.
+Every message says where (file, row, column), what was expected, what was found, and what to do.
 
 Shapes: L samples, n state dimensions, g goal dimensions.
 """
@@ -15,11 +15,18 @@ import numpy as np
 from swerve.base.space import MAX_HALF_EXTENTS, MAX_TURNS, TWO_PI, StateSpace, Task, Transitions
 
 START_TOLERANCE = 1e-3
-"""How far a first state may lie from the start of its task, and a start or a goal outside the
-bounds, in units of the extent of the state space."""
+"""Largest distance of a first state from the start of its task, and of a start or a goal from the
+bounds, in extents of the state space: rounding in files explains no more."""
 
-LATTICE_TOLERANCE = 1e-3
-MAX_ARC = 0.45 * TWO_PI
+LATTICE_TOLERANCE = 1e-3  # of a whole number: a number so near is that whole number, rounded
+MAX_ARC = 0.45 * TWO_PI  # rad between two states of an angle: nearer to pi the direction is unclear
+
+# Limits beyond which a recorded state or demonstration is odd, next to nominal trajectories of its
+# task. Nothing is refused for them: `trust.doubts` warns, and a monitor flags the state.
+FAST = 3.0  # times the fastest nominal change of a state: faster is a glitch or another unit
+JITTER = 0.01  # of the extent: two measurements of the same state may differ by so much
+TIME_SLACK = 0.1  # of the duration: demonstrators may be that much quicker or slower
+COARSE = 1.5  # model steps between two states: with wider gaps, lines between them cut corners
 
 RowNamer = Callable[[int], str]
 
@@ -37,7 +44,7 @@ def check_states(
     Args:
       states: [L, n] states.
       times: [L] time of each state [s], or None.
-      space: what is known of the states.
+      space: names, angles and bounds of the states.
       where: the file or demonstration, for messages.
       line_of: maps a row, counted from 0, to its line in the file.
 
@@ -45,8 +52,8 @@ def check_states(
       ValueError: if there are fewer than 2 states, a number is NaN or infinite, the times do not
         strictly increase, a state is so far out that its unit must be wrong (more than
         MAX_HALF_EXTENTS half extents from the middle of the bounds, MAX_TURNS turns for an
-        angle), or no whole number on a lattice, or an angle changes by more than MAX_ARC [rad]
-        between two samples.
+        angle), a state on a lattice is no whole number, or an angle changes by more than MAX_ARC
+        [rad] between two states.
     """
     check_path(states, times, space, where, line_of=line_of)
     at = row_namer(where, line_of)
@@ -66,7 +73,7 @@ def check_path(
     *,
     line_of: Callable[[int], int] | None = None,
 ) -> None:
-    """Check how many states and of how many numbers, and that time runs; as `check_states`."""
+    """Check the number of states and of their components, and the times; as `check_states`."""
     states = shaped(states, (None, len(space.names)), "states", where)
     if len(states) < 2:
         raise ValueError(f"{where}: expected at least 2 states, got {len(states)}")
@@ -77,7 +84,7 @@ def check_path(
 def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
     """Return whether paths of states [..., L, n] pass the checks of single states and of arcs."""
     low, high = space.believable
-    if not ((states >= low) & (states <= high)).all():  # NaN is not either
+    if not ((states >= low) & (states <= high)).all():  # NaN fails both
         return False
     if space.is_lattice and _off_lattice(states).any():
         return False
@@ -85,7 +92,11 @@ def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
 
 
 def shaped(value: object, shape: Sequence[int | None], what: str, where: str) -> np.ndarray:
-    """Return a value as float64, of a shape in which None stands for any length."""
+    """Return a value as float64 after checking its shape, in which None stands for any length.
+
+    Raises:
+      ValueError: if the shape is another; `what` and `where` are for the message.
+    """
     array = np.asarray(value, dtype=float)
     fits = len(shape) == array.ndim and all(
         size is None or size == found for size, found in zip(shape, array.shape, strict=True)
@@ -97,7 +108,7 @@ def shaped(value: object, shape: Sequence[int | None], what: str, where: str) ->
 
 
 def row_namer(where: str, line_of: Callable[[int], int] | None) -> RowNamer:
-    """Return what says where a row, counted from 0, is: in which file, and on which line."""
+    """Return a function that names a row, counted from 0, by its file and its line."""
     return lambda row: (
         f"{where}: row {row + 1}" + ("" if line_of is None else f" (line {line_of(row)})")
     )
@@ -148,7 +159,7 @@ def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
 
 
 def _check_lattice(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
-    """Raise ValueError where a state [L, n] is between those that there are."""
+    """Raise ValueError where a state [L, n] lies between two states of the lattice."""
     for row, column in np.argwhere(_off_lattice(states))[:1]:
         raise ValueError(
             f"{at(row)}, column {space.names[column]}: {states[row, column]:.6g} lies between two "
@@ -161,7 +172,7 @@ def _off_lattice(states: np.ndarray) -> np.ndarray:
 
 
 def _wide_arcs(states: np.ndarray, space: StateSpace) -> np.ndarray:
-    """Return where [..., L-1, a] an angle goes too far from a state [..., L, n] to the next."""
+    """Return [..., L-1, a] True where an angle of states [..., L, n] turns more than MAX_ARC."""
     angles = states[..., space.is_angle]
     turned = angles[..., 1:, :] - angles[..., :-1, :]
     return np.abs(turned - TWO_PI * np.round(turned / TWO_PI)) > MAX_ARC
@@ -179,7 +190,7 @@ def _check_arcs(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
 
 
 def check_bounds(task: Task, space: StateSpace, goal_names: Sequence[str], where: str) -> None:
-    """Raise ValueError where a start, or a goal that is a state, is no state within the bounds."""
+    """Raise ValueError where a start, or a goal that is a state, lies outside the bounds."""
     low, high = space.bounds.T
     slack = START_TOLERANCE * space.extent
     for part, state in task._asdict().items():
@@ -213,11 +224,12 @@ def check_start(state: np.ndarray, task: Task, space: StateSpace, where: str) ->
 def check_transitions(
     states: np.ndarray, actions: np.ndarray | None, transitions: Transitions, where: str
 ) -> None:
-    """Raise ValueError where a step of states [L, n] is not what actions of a tabular MDP make.
+    """Raise ValueError where no action of a tabular MDP makes a step of states [L, n].
 
     Args:
       states: [L, n].
-      actions: [L-1, m] or more, the one that is said to make each step; None: any may.
+      actions: [L-1, m] or more, the recorded action of each step, which must make it; None where
+        no actions are recorded: then any action may make the step.
       transitions: of the MDP.
       where: the demonstration, for messages.
     """

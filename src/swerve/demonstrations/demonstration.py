@@ -1,11 +1,11 @@
-"""Demonstrations: reading, checking and writing them.
+"""Demonstrations: what they are, and how files of them are read and written.
 
-A demonstration is what somebody did, with the task that they were given:
+A demonstration holds the states that somebody went through, and the task that they were given:
 
     xi = s_0, ..., s_{L-1},   s_0 = task.start,   |difference(s_i, s_{i+1})| <= 0.9 pi for angles.
 
-It may be sampled at any rate, unevenly too, and its angles may be wrapped or not, as long as each
-angle takes its shorter arc between two samples. Files are read with NumPy; polars is imported for
+The states may be recorded at any rate, unevenly too. Angles may be wrapped or not, as long as each
+angle takes its shorter arc between two states. Files are read with NumPy; polars is imported for
 Parquet alone.
 
 Shapes: L samples, n state dimensions, m action dimensions, g goal dimensions, N tasks.
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swerve.base import store
+from swerve.base.files import AnyPath, write_text
 from swerve.base.space import StateSpace, Task
 from swerve.demonstrations.checks import (
     check_bounds,
@@ -33,9 +33,7 @@ from swerve.demonstrations.checks import (
 )
 from swerve.demonstrations.tables import csv_text, read_table
 
-MAX_ERRORS = 10  # files that cannot be used that are named
-
-AnyPath = str | os.PathLike[str]
+MAX_ERRORS = 10  # unusable files that one error message names: more would hide the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +41,11 @@ class Demonstration:
     """States that somebody went through, and the task that they were given.
 
     Attributes:
-      name: what results call it; the file name without its suffix.
+      name: of the demonstration in results; the file name without its suffix.
       states: [L, n] states, float64; angles wrapped or not [rad].
       task: its start [n] and goal [g].
       times: [L] time of each state [s], where known.
-      actions: [L-1, m] actions between the states, or [L, m] with one more that is not used.
+      actions: [L-1, m] actions between the states; or [L, m], of which the last is not used.
     """
 
     name: str
@@ -86,8 +84,8 @@ def read_demonstrations(
 ) -> list[Demonstration]:
     """Read and check demonstration files, one demonstration each.
 
-    The first line of a file names its columns: the states, `t` [s] if known, the actions if
-    known (none need follow the last state); all others are ignored.
+    The first line of a file names its columns: the states, `t` [s] if known, and the actions if
+    known; the actions of the last row may be blank. Other columns are ignored.
 
     Args:
       paths: CSV or Parquet files.
@@ -100,7 +98,7 @@ def read_demonstrations(
         unless given.
 
     Returns:
-      One demonstration for each path, in their order.
+      One demonstration for each path, in the order of the paths.
 
     Raises:
       OSError: if a file does not exist or cannot be opened.
@@ -108,14 +106,7 @@ def read_demonstrations(
         known, lies outside the state space or starts elsewhere, or a path is given twice or is
         that of the tasks.
     """
-    files = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
-    for file, count in Counter(path.resolve() for path in files).items():
-        if count > 1:
-            raise ValueError(f"{file} is given {count} times; give each demonstration once")
-    if tasks is not None and Path(tasks).resolve() in [path.resolve() for path in files]:
-        raise ValueError(
-            f"{tasks} is given as a demonstration and as the tasks; leave it out of one"
-        )
+    files = _distinct_files(paths, tasks)
     goal_names = space.names if goal_names is None else tuple(goal_names)
     known = None if tasks is None else read_tasks(tasks, space, goal_names)
 
@@ -133,8 +124,21 @@ def read_demonstrations(
     return _read_all(files, read)
 
 
+def _distinct_files(paths: AnyPath | Iterable[AnyPath], tasks: AnyPath | None) -> list[Path]:
+    """Return the paths as a list after checking that each is given once, none as the tasks too."""
+    files = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+    for file, count in Counter(path.resolve() for path in files).items():
+        if count > 1:
+            raise ValueError(f"{file} is given {count} times; give each demonstration once")
+    if tasks is not None and Path(tasks).resolve() in [path.resolve() for path in files]:
+        raise ValueError(
+            f"{tasks} is given as a demonstration and as the tasks; leave it out of one"
+        )
+    return files
+
+
 def _read_all(files: list[Path], read: Callable[[Path], Demonstration]) -> list[Demonstration]:
-    """Read all files, and only then say what is wrong with which."""
+    """Read all files; raise ValueError with the errors of all unusable files together."""
     demonstrations, errors = [], []
     for path in files:
         try:
@@ -147,7 +151,7 @@ def _read_all(files: list[Path], read: Callable[[Path], Demonstration]) -> list[
 
 
 def _all_errors(errors: list[str], num_files: int) -> str:
-    """Return one message for all files that cannot be used."""
+    """Return one message for all unusable files."""
     if len(errors) == 1:
         return errors[0]
     shown = errors[:MAX_ERRORS]
@@ -166,7 +170,7 @@ def read_tasks(
       goal_names: the components of a goal; the states unless given.
 
     Returns:
-      The task of each cell of the `demo` column, in the order of the file.
+      The tasks by the text in their `demo` column, in the order of the file.
 
     Raises:
       OSError: if the file does not exist or cannot be opened.
@@ -197,15 +201,15 @@ def write_demonstrations(
 ) -> list[Path]:
     """Write each demonstration to <name>.csv and their tasks to tasks.csv.
 
-    Numbers have 9 significant digits; times have all of theirs, since with 9 the seconds since
-    1970 would not increase. Where there is one action fewer than states, the last row has 0. A
-    file appears complete or not at all.
+    Numbers have 9 significant digits, times all digits: with 9 digits, seconds since 1970 would not
+    increase. Where there is one action fewer than states, the last row has action 0. A file appears
+    complete or not at all.
 
     Args:
-      directory: where to write; created if need be.
-      demonstrations: what to write, each with a name of its own.
+      directory: folder of the files; created if need be.
+      demonstrations: each with a name of its own.
       space: names, angles and bounds of the states.
-      action_names: the columns of the actions, which are not written without.
+      action_names: the columns of the actions; without names no actions are written.
       goal_names: the components of a goal; the states unless given.
 
     Returns:
@@ -214,7 +218,7 @@ def write_demonstrations(
     Raises:
       FileExistsError: if one of the files exists already; then nothing is written.
       ValueError: if a demonstration could not be read back: its states fail `check_states`, its
-        task does not fit, it lacks actions, or its name is no file name or taken already.
+        task does not fit, its actions are missing, or its name is no file name or used twice.
     """
     goal_names = space.names if goal_names is None else tuple(goal_names)
     tasks, *paths = new_files(directory, [item.name for item in demonstrations])
@@ -223,7 +227,7 @@ def write_demonstrations(
         check_states(item.states, item.times, space, item.name)
         texts[path] = _trajectory_text(item, space, action_names)
     for path, text in texts.items():
-        store.write_text(path, text)
+        write_text(path, text)
     return paths
 
 
@@ -231,8 +235,8 @@ def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
     """Return the files that `write_demonstrations` writes: tasks.csv, then one for each name.
 
     Raises:
-      FileExistsError: if one of them exists already.
-      ValueError: if a name is no file name, or two could not be told apart.
+      FileExistsError: if one of the files exists already.
+      ValueError: if a name is no file name, or two names would be the same in tasks.csv.
     """
     cells = Counter(_cell(name) for name in names)
     for name in names:
@@ -250,7 +254,7 @@ def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
 
 
 def _cell(name: str) -> str:
-    """Return what a demonstration is called in tasks.csv."""
+    """Return the name of a demonstration in the `demo` column of tasks.csv."""
     return name.removeprefix("demo_") or name
 
 
@@ -282,7 +286,7 @@ def _read_trajectory(
             f"{', '.join(action_names)}, or none"
         )
     actions = table.columns(action_names)
-    if np.isnan(actions[-1]).all():  # none follows the last state
+    if np.isnan(actions[-1]).all():  # blank: no action follows the last state
         actions = actions[:-1]
     check_finite(actions, action_names, row_namer(str(path), table.line_of))
     return states, times, actions

@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV and Parquet files, read with errors that name the cell at fault.
+"""Tables of numbers in CSV and Parquet files; errors name the cell at fault.
 
 CSV is read with NumPy; polars is imported for Parquet alone.
 """
@@ -16,12 +16,12 @@ import numpy as np
 
 
 class Table(NamedTuple):
-    """The columns of a file that were asked for.
+    """Some columns of a file.
 
     Attributes:
-      names: those of the columns of numbers that the file has.
+      names: of the columns of numbers, as far as the file has them.
       values: [rows, len(names)].
-      labels: the text column, where one was asked for.
+      labels: the column of text; empty where none is wanted.
       line_of: maps a row, counted from 0, to its line in the file; None for Parquet.
     """
 
@@ -31,17 +31,17 @@ class Table(NamedTuple):
     line_of: Callable[[int], int] | None
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
-        """Return some of the columns [rows, len(names)]."""
+        """Return the columns of some names [rows, len(names)]."""
         return np.ascontiguousarray(self.values[:, [self.names.index(name) for name in names]])
 
 
 def read_table(
     path: Path, required: Sequence[str], optional: Sequence[str] = (), label: str | None = None
 ) -> Table:
-    """Read columns of numbers, and one of text, from a CSV or Parquet file.
+    """Read columns of numbers, and one column of text, from a CSV or Parquet file.
 
     Args:
-      path: the file; its suffix tells the format.
+      path: the file; its suffix is that of the format.
       required: columns of numbers that must be there.
       optional: columns of numbers that may be there.
       label: a column of text that must be there, or None.
@@ -70,7 +70,7 @@ def _select(
     optional: Sequence[str],
     label: str | None,
 ) -> list[str]:
-    """Return the names of the columns of numbers to read."""
+    """Return the names of the columns of numbers to read, after checking the columns found."""
     needed = [*([] if label is None else [label]), *required]
     missing = [name for name in needed if name not in found]
     if missing:
@@ -105,7 +105,7 @@ def _read_csv(
 
 
 def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield line and cells of every row that is not blank, the header first."""
+    """Yield the line number and the cells of every row that is not blank, the header first."""
     reader = csv.reader(io.StringIO(text))
     try:
         for cells in reader:
@@ -116,7 +116,7 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _parse_fast(text: str, indices: list[int]) -> np.ndarray | None:
-    """Return the columns as numbers, or None where that takes a look at each cell."""
+    """Return the columns as numbers, or None where each cell must be read on its own."""
     header, *rows = text.rstrip().split("\n")
     if '"' in text or {row.count(",") for row in rows} != {header.count(",")}:
         return None  # quoted, ragged or empty
@@ -134,9 +134,9 @@ def _parse_cells(
     label: str | None,
     optional: Sequence[str],
 ) -> tuple[np.ndarray, list[str]]:
-    """Return numbers and labels, or raise the error that names the cell at fault.
+    """Return numbers and labels; raise ValueError naming the first cell that is no number.
 
-    In the last row, columns that are optional may be blank: no action follows the last state.
+    In the last row optional columns may be blank: no action follows the last state.
     """
     rows = list(_csv_rows(path, text))[1:]
     values, labels = np.empty((len(rows), len(names))), []

@@ -1,1 +1,1 @@
-"""Package."""
+"""Hypotheses: constraints that are suspected, judged in bulk and step by step."""

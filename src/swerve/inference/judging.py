@@ -9,16 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swerve.base.space import Actions, StateSpace, Task
+from swerve.base.space import Actions, Task
 from swerve.constraints.base import violates
+from swerve.demonstrations.batch import checked_states
 from swerve.demonstrations.checks import (
-    START_TOLERANCE,
-    are_plausible,
     check_finite,
     check_horizon,
-    check_path,
-    check_start,
-    check_states,
     check_transitions,
     row_namer,
 )
@@ -56,7 +52,7 @@ def judge(
     entered = np.zeros((len(demonstrations), len(hypotheses)), bool)
     for first in range(0, len(demonstrations), AT_ONCE):
         block = demonstrations[first : first + AT_ONCE]
-        states = _checked_states(block, evidence.problem.space)
+        states = checked_states(block, evidence.problem.space)
         for item in block:
             _check_fits(item, evidence)
         batch = Task.stack([item.task for item in block])
@@ -64,31 +60,6 @@ def judge(
         tasks[first : first + AT_ONCE] = match_each(evidence.problem, evidence.tasks, batch, names)
         entered[first : first + AT_ONCE] = _entered(block, states, evidence.problem, hypotheses)
     return tasks, entered
-
-
-def _checked_states(demonstrations: Sequence[Demonstration], space: StateSpace) -> np.ndarray:
-    """Return the states of demonstrations [D, L, n] after checking them; they rest at their end.
-
-    All are looked at together; one by one only to say what is wrong with which.
-    """
-    for item in demonstrations:
-        check_path(item.states, item.times, space, item.name)
-    longest = max(len(item.states) for item in demonstrations)
-    states = np.stack([_rested(item.states, longest) for item in demonstrations])
-    starts = np.stack([item.task.start for item in demonstrations])
-    is_there = space.relative_distance(states[:, 0], starts) <= START_TOLERANCE
-    if not (is_there.all() and are_plausible(states, space)):
-        for item in demonstrations:
-            check_states(item.states, item.times, space, item.name)
-            check_start(item.states[0], item.task, space, item.name)
-    return states
-
-
-def _rested(states: np.ndarray, num: int) -> np.ndarray:
-    """Return states [L, n] and their last again and again, `num` in all."""
-    if len(states) == num:
-        return states
-    return states[np.minimum(np.arange(num), len(states) - 1)]
 
 
 def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:

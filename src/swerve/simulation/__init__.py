@@ -1,1 +1,1 @@
-"""Package."""
+"""Simulation: running a policy."""
