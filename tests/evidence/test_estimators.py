@@ -1,80 +1,27 @@
+"""Estimates from weighted trajectories agree with sums over all trajectories."""
+
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.weighted_worlds import make_world, pack
 
 from swerve.evidence.estimators import (
-    BLOCK,
     avoid_probability,
     effective_sample_size,
-    hoeffding_error,
-    hoeffding_sample_size,
     kl_divergence,
     log_partition,
     log_weights,
     normalise,
     parts,
 )
-from swerve.hypotheses.bits import unpack
 
 seeds = st.integers(0, 2**32 - 1)
 STANDARD_ERRORS = 4.5
-
-
-class World(NamedTuple):
-    """All M trajectories there are: log m exp(beta R), log pi, and what each enters."""
-
-    log_target: np.ndarray
-    log_proposal: np.ndarray
-    violates: np.ndarray
-
-    @property
-    def log_partition(self) -> float:
-        return math.log(np.exp(self.log_target).sum())
-
-    @property
-    def nominal(self) -> np.ndarray:
-        return np.exp(self.log_target) / np.exp(self.log_target).sum()
-
-    @property
-    def avoid_probability(self) -> np.ndarray:
-        return self.nominal @ ~self.violates
-
-    @property
-    def log_weight(self) -> np.ndarray:
-        return self.log_target - self.log_proposal
-
-    def sample(self, num: int, generator: np.random.Generator) -> np.ndarray:
-        return generator.choice(len(self.log_target), num, p=np.exp(self.log_proposal))
-
-    @property
-    def bits(self) -> np.ndarray:
-        return pack(self.violates)
-
-
-def pack(violates: np.ndarray) -> np.ndarray:
-    return np.packbits(violates, axis=-1, bitorder="little")
-
-
-def make_world(seed: int, num: int = 40, num_hypotheses: int = 9, spread: float = 0.7) -> World:
-    generator = np.random.default_rng(seed)
-    log_target = generator.normal(2.0, 1.0, num)
-    log_proposal = log_target + generator.normal(0.0, spread, num)
-    log_proposal -= np.log(np.exp(log_proposal).sum())
-    violates = generator.random((num, num_hypotheses)) < generator.uniform(0.3, 0.7, num_hypotheses)
-    return World(log_target, log_proposal, violates)
-
-
-def random_sample(
-    generator: np.random.Generator, num: int = 60, num_hypotheses: int = 11
-) -> tuple[np.ndarray, np.ndarray]:
-    violates = generator.random((num, num_hypotheses)) < generator.random(num_hypotheses)
-    return generator.normal(-100.0, 2.0, num), violates
 
 
 class TestLogWeights:
@@ -241,132 +188,6 @@ class TestAgainstEnumeration:
         assert exact > 20 * error
 
 
-class TestProperties:
-    @given(seed=seeds, shift=st.floats(-1e4, 1e4))
-    def test_a_constant_moves_only_log_partition(self, seed, shift) -> None:
-        log_weight, violates = random_sample(np.random.default_rng(seed))
-        moved = log_weight + shift
-        a, b = (avoid_probability(values, pack(violates), 11) for values in (log_weight, moved))
-        np.testing.assert_allclose(a.avoid_probability, b.avoid_probability, atol=1e-9)
-        np.testing.assert_allclose(a.avoid_variance, b.avoid_variance, atol=1e-9)
-        assert effective_sample_size(moved) == pytest.approx(effective_sample_size(log_weight))
-        log_z = log_partition(log_weight)
-        assert log_partition(moved) == pytest.approx(log_z + shift, abs=1e-8)
-        assert kl_divergence(moved, log_z + shift) == pytest.approx(
-            kl_divergence(log_weight, log_z), abs=1e-8
-        )
-
-    @given(seed=seeds)
-    def test_order_of_trajectories_and_hypotheses_does_not_matter(self, seed) -> None:
-        generator = np.random.default_rng(seed)
-        log_weight, violates = random_sample(generator)
-        rows, columns = generator.permutation(60), generator.permutation(11)
-        a = avoid_probability(log_weight, pack(violates), 11)
-        b = avoid_probability(log_weight[rows], pack(violates[rows][:, columns]), 11)
-        np.testing.assert_allclose(a.avoid_probability[columns], b.avoid_probability, rtol=1e-12)
-        np.testing.assert_allclose(a.avoid_variance[columns], b.avoid_variance, atol=1e-15)
-        assert log_partition(log_weight[rows]) == pytest.approx(log_partition(log_weight))
-        assert effective_sample_size(log_weight[rows]) == pytest.approx(
-            effective_sample_size(log_weight)
-        )
-
-    @given(seed=seeds)
-    def test_one_more_constraint_never_raises_the_partition_function(self, seed) -> None:
-        """A trajectory avoids two constraints only if it avoids each."""
-        log_weight, violates = random_sample(np.random.default_rng(seed))
-        unions = violates[:, :-1] | violates[:, 1:]
-        single = avoid_probability(log_weight, pack(violates), 11).avoid_probability
-        union = avoid_probability(log_weight, pack(unions), 10).avoid_probability
-        assert (union <= np.minimum(single[:-1], single[1:]) + 1e-12).all()
-        assert (union >= single[:-1] + single[1:] - 1.0 - 1e-12).all()
-
-    @given(seed=seeds, scale=st.floats(0.0, 50.0))
-    def test_ranges(self, seed, scale) -> None:
-        log_weight, violates = random_sample(np.random.default_rng(seed))
-        log_weight = scale * log_weight
-        assert 1.0 - 1e-9 <= effective_sample_size(log_weight) <= 60.0 + 1e-9
-        estimate = avoid_probability(log_weight, pack(violates), 11)
-        assert (estimate.avoid_probability >= 0.0).all()
-        assert (estimate.avoid_probability <= 1.0).all()
-        assert (estimate.avoid_variance >= 0.0).all()
-        assert normalise(log_weight).sum() == pytest.approx(1.0)
-        # Jensen: the estimated log Z is never below the mean log-weight
-        assert kl_divergence(log_weight, log_partition(log_weight)) >= -1e-9
-
-    @given(seed=seeds, num=st.integers(2, 300))
-    def test_equal_weights_are_plain_fractions(self, seed, num) -> None:
-        generator = np.random.default_rng(seed)
-        violates = generator.random((num, 11)) < generator.random(11)
-        estimate = avoid_probability(np.full(num, -3.7), pack(violates), 11)
-        fraction = 1.0 - violates.mean(axis=0)
-        np.testing.assert_allclose(estimate.avoid_probability, fraction, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(
-            estimate.avoid_variance, fraction * (1.0 - fraction) / num, rtol=0, atol=1e-14
-        )
-        assert effective_sample_size(np.full(num, -3.7)) == pytest.approx(num)
-
-    def test_equal_weights_are_exact_fractions_of_a_power_of_two(self) -> None:
-        violates = np.arange(64)[:, None] < np.arange(65)
-        estimate = avoid_probability(np.full(64, 2.5), pack(violates), 65)
-        np.testing.assert_array_equal(estimate.avoid_probability, 1.0 - np.arange(65) / 64)
-        assert effective_sample_size(np.full(64, 2.5)) == 64.0
-        assert log_partition(np.full(64, 2.5)) == 2.5
-
-    def test_a_policy_that_is_the_nominal_one_has_kl_zero(self) -> None:
-        world = make_world(4)
-        same = world._replace(log_proposal=world.log_target - world.log_partition)
-        drawn = same.sample(500, np.random.default_rng(4))
-        log_weight = same.log_weight[drawn]
-        assert log_partition(log_weight) == pytest.approx(world.log_partition, abs=1e-12)
-        assert kl_divergence(log_weight, world.log_partition) == pytest.approx(0.0, abs=1e-12)
-        assert effective_sample_size(log_weight) == pytest.approx(500.0)
-
-    @given(seed=seeds)
-    def test_trajectories_of_weight_zero_might_as_well_not_be_there(self, seed) -> None:
-        """But for log Z_0, whose mean is over all that were drawn."""
-        generator = np.random.default_rng(seed)
-        log_weight, violates = random_sample(generator)
-        forbidden = generator.random(60) < 0.5
-        assume(0 < forbidden.sum() < 60)
-        log_weight[forbidden] = -np.inf
-        kept = ~forbidden
-        a = avoid_probability(log_weight, pack(violates), 11)
-        b = avoid_probability(log_weight[kept], pack(violates[kept]), 11)
-        np.testing.assert_allclose(a.avoid_probability, b.avoid_probability, rtol=1e-12)
-        np.testing.assert_allclose(a.avoid_variance, b.avoid_variance, atol=1e-15)
-        assert effective_sample_size(log_weight) == pytest.approx(
-            effective_sample_size(log_weight[kept])
-        )
-        missing = math.log(kept.mean())
-        log_z = log_partition(log_weight)
-        assert log_z == pytest.approx(log_partition(log_weight[kept]) + missing)
-        assert kl_divergence(log_weight, log_z) == pytest.approx(
-            kl_divergence(log_weight[kept], log_z - missing)
-        )
-
-    @settings(max_examples=20)
-    @given(seed=seeds, num=st.sampled_from([1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 5]))
-    def test_many_hypotheses_are_taken_in_blocks(self, seed, num) -> None:
-        generator = np.random.default_rng(seed)
-        log_weight, violates = random_sample(generator, num=20, num_hypotheses=num)
-        estimate = avoid_probability(log_weight, pack(violates), num)
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        avoided = weight @ ~violates
-        assert estimate.avoid_probability.shape == estimate.avoid_variance.shape == (num,)
-        np.testing.assert_allclose(estimate.avoid_probability, avoided, atol=1e-12)
-        variance = weight**2 @ (~violates - avoided) ** 2
-        np.testing.assert_allclose(estimate.avoid_variance, variance, atol=1e-12)
-        np.testing.assert_array_equal(unpack(pack(violates), num), violates)
-
-    def test_extreme_weights_neither_overflow_nor_vanish(self) -> None:
-        log_weight = np.array([1e5, 1e5 + math.log(3.0), -1e5])
-        assert log_partition(log_weight) == pytest.approx(1e5 + math.log(4.0 / 3.0), abs=1e-9)
-        violates = np.array([[True], [False], [True]])
-        estimate = avoid_probability(log_weight, pack(violates), 1)
-        assert estimate.avoid_probability[0] == pytest.approx(0.75, abs=1e-9)
-
-
 WEIGHING = [
     normalise,
     effective_sample_size,
@@ -395,45 +216,6 @@ class TestRefused:
             estimate(np.array([0.0, np.nan, -np.inf, np.nan]))
 
 
-class TestHoeffding:
-    def test_the_numbers_of_the_paper(self) -> None:
-        assert hoeffding_error(10_000) == pytest.approx(0.0136, abs=5e-5)
-        assert hoeffding_error(10_000, 0.99) == pytest.approx(0.01628, abs=5e-6)
-
-    @given(num=st.integers(1, 10**8), confidence=st.floats(0.01, 0.999))
-    def test_solves_the_bound(self, num, confidence) -> None:
-        error = hoeffding_error(num, confidence)
-        assert 2.0 * math.exp(-2.0 * error**2 * num) == pytest.approx(1.0 - confidence, rel=1e-9)
-
-    @given(error=st.floats(1e-3, 0.9), confidence=st.floats(0.01, 0.999))
-    def test_the_sample_size_is_the_smallest_that_suffices(self, error, confidence) -> None:
-        num = hoeffding_sample_size(error, confidence)
-        assert hoeffding_error(num, confidence) <= error * (1 + 1e-12)
-        if num > 1:
-            assert hoeffding_error(num - 1, confidence) >= error * (1 - 1e-12)
-
-    def test_bounds_the_errors_of_equal_weights(self) -> None:
-        generator = np.random.default_rng(0)
-        fractions = generator.binomial(200, 0.5, 4000) / 200
-        missed = np.mean(np.abs(fractions - 0.5) > hoeffding_error(200, 0.9))
-        assert 0.0 < missed < 0.1
-
-    @pytest.mark.parametrize("confidence", [0.0, 1.0, -0.5, 95.0, math.nan])
-    def test_confidence_out_of_range_is_refused(self, confidence: float) -> None:
-        message = f"confidence: expected a number between 0 and 1, got {confidence}"
-        with pytest.raises(ValueError, match=message):
-            hoeffding_error(100, confidence)
-        with pytest.raises(ValueError, match=message):
-            hoeffding_sample_size(0.1, confidence)
-
-    @pytest.mark.parametrize("error", [0.0, 1.0, -0.1, math.nan])
-    def test_an_error_out_of_range_is_refused(self, error: float) -> None:
-        with pytest.raises(
-            ValueError, match=f"error: expected a number between 0 and 1, got {error}"
-        ):
-            hoeffding_sample_size(error)
-
-
 def test_parts_tell_the_rarest_avoiding_apart_from_rounding() -> None:
     log_weight = np.concatenate([np.zeros(999), [-45.0]])
     violations = np.zeros((1000, 3), bool)
@@ -450,3 +232,8 @@ def test_parts_tell_the_rarest_avoiding_apart_from_rounding() -> None:
     assert (without[:9, 0] > 0.0).all()
     assert (without[:, 1] == 0.0).all()
     np.testing.assert_allclose(without[:, 2], 1.0)
+
+
+def test_nan_weights_are_refused() -> None:
+    with pytest.raises(ValueError, match="1 of 2 log-weights are NaN"):
+        avoid_probability(np.array([0.0, np.nan]), np.zeros((2, 1), np.uint8), 3)

@@ -14,12 +14,12 @@ from support.synthetic import (
     make_record,
 )
 
+from swerve.answer import infer
 from swerve.base.phrases import some_names
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import grid
-from swerve.inference.ranking import infer
 from swerve.trust.doubts import doubts
 
 DURATION = 0.5  # s, of the model's episodes: 5 steps of 0.1 s
@@ -86,7 +86,7 @@ def test_the_end_of_one_whose_goal_is_no_state(evidence: Evidence) -> None:
     [
         ({"kl": 0.6}, "importance", "more than 0.5 nats from pi_0 (worst: demo_b, KL 0.60)"),
         ({"kl": 0.4}, "importance", None),
-        ({"kl": 0.4}, "plain", "plain weights take it for pi_0: use importance weights"),
+        ({"kl": 0.4}, "plain", "plain weights assume that it is pi_0: use importance weights"),
         ({"kl": 0.05}, "plain", None),
         ({"kl": 0.05, "effective_sample_size": 400.0 * (1.0 + 1e-12)}, "plain", None),
         ({"soft_value": 3.2}, "importance", "log Z_0 is not that of its samples (worst: demo_b, "),
@@ -193,7 +193,7 @@ def test_warnings_name_those_they_are_about(evidence: Evidence) -> None:
     items = [straight(TASKS.start[1] + 0.1 * k, name=f"d{k}") for k in range(6)]
     [warning] = [text for text in infer(evidence, items).warnings if "ends at" in text]
     assert warning.startswith("d0 ends at ")
-    assert warning.endswith("(so it is with d1, d2, d3 and 2 more)")
+    assert warning.endswith("(the same holds for d1, d2, d3 and 2 more)")
     good = infer(evidence, [straight(TASKS.goal[1])])
     assert not good.warnings
 

@@ -98,8 +98,8 @@ class TestWarnings:
         (warning,) = result.warnings
         assert warning.startswith("the score of hypothesis 6 is only a lower bound: almost every")
         assert warning.endswith(
-            "the samples tell no more than about 6.9 nats. With the solvers grid and soft-value "
-            "more can be worked out"
+            "the samples tell no more than about 6.9 nats. The solvers grid and soft-value "
+            "can tell more"
         )
         np.testing.assert_array_equal(np.flatnonzero(result.is_lower_bound), [6])
         assert "(≥ 6.9 nats)" in result.headline
@@ -120,3 +120,10 @@ class TestWarnings:
     def test_a_floored_hypothesis_that_is_struck_out_is_no_matter(self) -> None:
         chances = [0.0, 1.0, 0.5, 0.0, 0.0, 0.0, 0.3, 0.0, 0.2, 0.0]
         assert infer(evidence_with_chances(chances), [make_demonstration(0)]).warnings == ()
+
+
+def test_too_few_samples_are_told_from_a_bad_policy() -> None:
+    cells = grid(x=(0.0, 9.0, 3))
+    few = infer(evidence_of_columns(np.zeros((1, 50, 3)), cells)).warnings
+    assert "Sample more trajectories" in few[0]
+    assert "policy" not in few[0]

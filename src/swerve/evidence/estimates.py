@@ -29,14 +29,14 @@ class Estimates:
       problem: what the estimates are of.
       tasks: starts [K, n] and goals [K, g].
       method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal,
-        and at another beta those of its Theorem 2), or "exact": then the estimates are no
-        estimates, and the trajectories are there for pictures alone.
+        and at another beta those of its Theorem 2), or "exact": then the numbers have no sampling
+        error, and the trajectories are kept for pictures alone.
       num_trajectories: N a task.
       solver: the solver and its settings, for people.
       seed: of the sampling.
       summary: the estimates.
-      sampling_beta: the beta that the trajectories were drawn for; that of the problem unless
-        given.
+      load_samples: returns the reduced trajectories, called on first use.
+      sampling_beta: the beta that the trajectories were sampled for; the problem's unless given.
     """
 
     problem: ProblemRecord
@@ -70,7 +70,7 @@ class Estimates:
 
     @property
     def is_of_other_beta(self) -> bool:
-        """Whether the trajectories were drawn for another beta than they are weighed for."""
+        """Whether the trajectories were sampled for another beta than they are weighed for."""
         return self.sampling_beta != self.problem.beta
 
     @property
@@ -80,26 +80,27 @@ class Estimates:
 
     @property
     def resolution(self) -> np.ndarray:
-        """[K] the least probability that the samples resolve: one trajectory's share.
+        """[K] the least probability that the samples can tell: one trajectory's share.
 
         1 / N for equal weights, 1 / ESS for importance weights; 0 where answers are exact.
         """
         if self.is_exact:
             return np.zeros(self.num_tasks)
-        if self._weighs_alike:
+        if self._has_equal_weights:
             return np.full(self.num_tasks, 1.0 / self.num_trajectories)
         return 1.0 / self.effective_sample_size
 
     @property
     def has_too_few(self) -> np.ndarray:
-        """[K] True where the effective sample size is too low for anything to be trusted."""
+        """[K] True where the effective sample size is too low to trust any estimate."""
         return self.effective_sample_size < estimators.least_effective(self.num_trajectories)
 
     @property
     def is_floored(self) -> np.ndarray:
         """[K, H] True where less than one trajectory's share avoids a hypothesis.
 
-        The samples then only say that the ratio is small: its log is given as that of the share.
+        The samples then only say that the ratio is small: `log_ratio` is the log of the share, an
+        upper bound.
         """
         return (self.summary.avoid_probability < self.resolution[:, None]) & ~self.is_resolved
 
@@ -112,8 +113,8 @@ class Estimates:
     def standard_error(self) -> np.ndarray:
         """[K, H] standard error of `log_ratio` in nats (delta method).
 
-        At least `resolution`, what one more trajectory could change; 1 where the ratio is floored;
-        0 where answers are exact.
+        At least `resolution`, the change that one more trajectory could make; 1 where the ratio is
+        floored; 0 where answers are exact.
         """
         return self._estimate.standard_error
 
@@ -132,7 +133,7 @@ class Estimates:
 
     @property
     def is_resolved(self) -> np.ndarray:
-        """[K, H] True where the ratio was worked out with the constraint in force, or is exact."""
+        """[K, H] True where the ratio was sampled with its constraint in force, or is exact."""
         return np.isfinite(self.summary.log_ratio_error)
 
     @property
@@ -145,39 +146,38 @@ class Estimates:
         """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
 
         For "smc" and "tempered" it is KL(pi_0 || pi), since their trajectories are those of pi_0.
-        After `at_beta` pi is still the policy that drew them and pi_0 that of the new beta, which
-        it was not made for; for "plain" it stays that of `sampling_beta`, which its weights take pi
-        for.
+        After `at_beta` pi is still the policy that sampled them, while pi_0 is that of the new
+        beta. With "plain" pi_0 stays that of `sampling_beta`, since its weights assume pi = pi_0.
         """
         return self.summary.kl
 
     @property
     def soft_value(self) -> np.ndarray:
-        """[K] log Z_0 by the solver's own soft value, nats; NaN without one of this beta."""
+        """[K] log Z_0 by the solver's own soft value, nats; NaN if it has none of this beta."""
         return self.summary.soft_value
 
     @property
     def effective_sample_size(self) -> np.ndarray:
         """[K] effective sample size of the importance weights, whatever the method.
 
-        With method "plain" all N are weighed alike, and this says how far they can be trusted; at
-        another beta than they were drawn for, it is that of its own weights where that is less.
+        With method "plain" all N trajectories have equal weight, and this number says how far to
+        trust them; at another beta it is that of the weights used, if that is smaller.
         """
         return self.summary.effective_sample_size
 
     @property
     def distinct_share(self) -> np.ndarray:
-        """[K] share of the trajectories at the start that resampling has left; 1 without."""
+        """[K] share of the first trajectories that have descendants; 1 without resampling."""
         return self.summary.distinct_share
 
     @property
     def island_log_partition(self) -> np.ndarray:
-        """[K, I] log Z_0 by each of I parts of the samples that are independent, nats."""
+        """[K, I] log Z_0 by each of I independent parts (islands) of the samples, nats."""
         return self.summary.island_log_partition
 
     @property
     def island_spread(self) -> np.ndarray:
-        """[K] standard deviation of these, nats; infinite where nothing of an island is left."""
+        """[K] standard deviation of log Z_0 over islands, nats; infinite if one has no weight."""
         log_partition = self.island_log_partition
         is_lost = np.isneginf(log_partition)
         spread = np.where(is_lost, 0.0, log_partition).std(axis=1)
@@ -185,7 +185,7 @@ class Estimates:
 
     @property
     def log_partition_error(self) -> np.ndarray:
-        """[K] standard error of `log_partition` by how far islands agree, nats."""
+        """[K] standard error of `log_partition` by the spread over islands, nats."""
         return self.island_spread / math.sqrt(self.island_log_partition.shape[1])
 
     @cached_property
@@ -195,18 +195,18 @@ class Estimates:
 
     @property
     def importance_log_weight(self) -> np.ndarray:
-        """[K, N] l = beta R + log m - log pi, with what resampling adds to it, nats."""
+        """[K, N] l = beta R + log m - log pi, plus the correction for resampling, nats."""
         return log_weights(self.problem, self.samples) + self.samples.log_correction
 
     def hoeffding_error(self, confidence: float = 0.95) -> float:
         """Return the bound on each probability's error (the paper, III-C.2); equal weights only.
 
-        It holds for what the policy does, not for how far the policy is from pi_0.
+        The bound is on the sampling error alone, not on the distance of the policy from pi_0.
 
         Raises:
           ValueError: if the weights are not equal.
         """
-        if not self._weighs_alike:
+        if not self._has_equal_weights:
             made = f"by {self.method!r}"
             if self.is_of_other_beta:
                 made += f" at beta {self.sampling_beta:g}, not {self.problem.beta:g}"
@@ -217,5 +217,5 @@ class Estimates:
         return estimators.hoeffding_error(self.num_trajectories, confidence)
 
     @property
-    def _weighs_alike(self) -> bool:
+    def _has_equal_weights(self) -> bool:
         return self.method == "plain" and not self.is_of_other_beta

@@ -1,6 +1,6 @@
-"""Self-normalised importance sampling: one estimator for every method of sampling.
+"""Estimate Z_0 and Z_c / Z_0 by self-normalised importance sampling, whatever the method.
 
-With log-weights l(xi) = beta R(xi) + log m(xi) - log pi(xi) of N trajectories drawn from pi,
+With log-weights l(xi) = beta R(xi) + log m(xi) - log pi(xi) of N trajectories sampled from pi,
 
     log Z_0 ~ logsumexp(l) - log N,    Z_c / Z_0 ~ sum_k w_k 1[xi_k avoids c] / sum_k w_k,
 
@@ -35,11 +35,11 @@ class Estimate(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What groups of trajectories have of all the weight there is.
+    """Each group's share of the total weight, and the part of it that avoids each hypothesis.
 
     Attributes:
-      weight: [G] their weights, which sum to 1.
-      avoided: [G, H] the weights of those of their trajectories that avoid each hypothesis.
+      weight: [G] weights of the groups, which sum to 1.
+      avoided: [G, H] weight of the trajectories of a group that avoid each hypothesis.
     """
 
     weight: np.ndarray
@@ -55,7 +55,7 @@ class Parts(NamedTuple):
         return num / (num - 1) * (deviation**2).sum(axis=0)
 
     def avoid_without(self) -> np.ndarray:
-        """Return Z_c / Z_0 [G, H] as estimated without one group; 0 where no weight is left."""
+        """Return Z_c / Z_0 [G, H] by all groups but one; 0 where the others have no weight."""
         left = 1.0 - self.weight[:, None]
         avoided = np.clip(self.avoided.sum(axis=0) - self.avoided, 0.0, None)
         return np.divide(avoided, left, out=np.zeros_like(avoided), where=left > 0.0)
@@ -64,7 +64,7 @@ class Parts(NamedTuple):
 def parts(
     log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, group: np.ndarray
 ) -> Parts:
-    """Return what groups of trajectories weigh, and how much of that avoids each hypothesis.
+    """Return the weight of each group of trajectories, and the part that avoids each hypothesis.
 
     Args:
       log_weight: [N] nats.
@@ -82,13 +82,13 @@ def parts(
     for hypotheses, bits in entered_blocks(violations, BLOCK):
         entered = members @ bits.astype(np.float64)
         avoided[:, hypotheses] -= entered
-        rare = entered.sum(axis=0) > 0.5  # to avoid it; a difference would be rounding there
+        rare = entered.sum(axis=0) > 0.5  # few avoid: 1 - entered would be rounding error
         avoided[:, hypotheses[rare]] = members @ (1.0 - bits[:, rare])
     return Parts(weight, avoided[:, :num_hypotheses])
 
 
-LOW_ESS_SHARE = 0.02
-LOW_ESS = 100.0
+LOW_ESS_SHARE = 0.02  # of N: an effective sample size below this share is not trusted
+LOW_ESS = 100.0  # trajectories: nor is one below this number, whatever N
 
 
 class NothingLeftError(ValueError):
@@ -182,11 +182,11 @@ def effective_sample_size(log_weight: np.ndarray, group: np.ndarray | None = Non
 def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:
     """Return KL(pi || pi_0) = log Z_0 - E_pi[l] [nats].
 
-    Where some trajectories enter a known constraint it is that of pi restricted to those that do
-    not, which is what the estimates rest on.
+    Where some trajectories enter a known constraint, pi is restricted to the other trajectories,
+    since the estimates rest on these.
 
     Args:
-      log_weight: [N] of trajectories drawn from pi.
+      log_weight: [N] of trajectories sampled from pi, nats.
       log_partition: log Z_0; exact for a measurement, estimated for an alarm.
 
     Raises:
@@ -200,7 +200,7 @@ def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:
 def avoid_probability(
     log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int
 ) -> Estimate:
-    """Estimate Z_c / Z_0 for every hypothesis (the paper, Theorem 1; METHOD: self-normalised).
+    """Estimate Z_c / Z_0 for every hypothesis (the paper, Theorem 1 and eq. 7).
 
     Args:
       log_weight: [N] log target minus log proposal density, nats; equal for Theorem 1.
@@ -225,26 +225,26 @@ def avoid_probability(
     for hypotheses, bits in entered_blocks(violations, BLOCK):
         entered[:, hypotheses] = rows @ bits.astype(np.float64)
         avoided[:, hypotheses] -= entered[:, hypotheses]
-        rare = entered[0, hypotheses] > 0.5  # to avoid it; a difference would be rounding there
+        rare = entered[0, hypotheses] > 0.5  # few avoid: 1 - entered would be rounding error
         avoided[:, hypotheses[rare]] = rows @ (1.0 - bits[:, rare])
     (entered, entered_square), (avoided, avoided_square) = (
         sums[:, :num_hypotheses] for sums in (entered, avoided)
     )
-    # sum w^2 (1[avoids] - p)^2, taken apart by whether a trajectory avoids
+    # sum w^2 (1[avoids] - p)^2 over the trajectories that avoid, then over those that enter
     variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
     return Estimate(avoided, variance)
 
 
 def least_effective(num_trajectories: int) -> float:
-    """Return the least effective sample size to be trusted, of N trajectories."""
+    """Return the least effective sample size that is trusted, of N trajectories."""
     return max(LOW_ESS, LOW_ESS_SHARE * num_trajectories)
 
 
 def log_ratio(estimate: Estimate, resolution: Any) -> LogRatio:
     """Return log Z_c / Z_0 and its standard error (delta method), nats.
 
-    Less than one trajectory's share cannot be told from nothing: there the log is that of the
-    share, a bound, with an error of 1. Elsewhere the error is at least the share.
+    A probability below one trajectory's share cannot be told from 0: there the estimate is the log
+    of the share, an upper bound, with an error of 1. Elsewhere the error is at least the share.
 
     Args:
       estimate: [..., H].
@@ -279,7 +279,12 @@ def hoeffding_sample_size(error: float, confidence: float = 0.95) -> int:
 
 
 def _largest(log_weight: np.ndarray) -> float:
-    """Return the largest log-weight, after checking that there is something to weigh."""
+    """Return the largest log-weight.
+
+    Raises:
+      NothingLeftError: if every weight is 0.
+      ValueError: if a log-weight is NaN.
+    """
     largest = float(log_weight.max())
     if math.isnan(largest):
         raise ValueError(f"{np.isnan(log_weight).sum()} of {log_weight.size} log-weights are NaN")

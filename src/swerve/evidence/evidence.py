@@ -38,24 +38,24 @@ class Evidence(Estimates):
       problem: what the estimates are of.
       tasks: starts [K, n] and goals [K, g].
       method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal,
-        and at another beta those of its Theorem 2), or "exact": then the estimates are no
-        estimates, and the trajectories are there for pictures alone.
+        and at another beta those of its Theorem 2), or "exact": then the numbers have no sampling
+        error, and the trajectories are kept for pictures alone.
       num_trajectories: N a task.
       solver: the solver and its settings, for people.
       seed: of the sampling.
       summary: the estimates.
-      sampling_beta: the beta that the trajectories were drawn for; that of the problem unless
-        given.
+      load_samples: returns the reduced trajectories, called on first use.
+      sampling_beta: the beta that the trajectories were sampled for; the problem's unless given.
     """
 
     @property
     def digest(self) -> str:
-        """A hash that differs between evidence for different tasks, or with other answers."""
+        """A hash of the tasks and their log ratios."""
         parts = (*self.tasks, self.log_ratio)
         return hashlib.sha256(b"".join(np.asarray(part).tobytes() for part in parts)).hexdigest()
 
     def __repr__(self) -> str:
-        """Return what it is of, in one line."""
+        """Return the problem, the numbers of tasks and hypotheses and the method in one line."""
         return (
             f"<Evidence of {self.problem.summary}: {self.num_tasks} tasks, "
             f"{len(self.problem.hypotheses)} hypotheses, method {self.method!r}>"
@@ -85,7 +85,7 @@ class Evidence(Estimates):
         return matching.nearest(self.problem, self.tasks, tasks)
 
     def select(self, indices: list[int]) -> Evidence:
-        """Return evidence for some of the tasks, in the order given."""
+        """Return the evidence of some tasks, in the order of `indices`."""
         return dataclasses.replace(
             self,
             tasks=Task(*(values[indices] for values in self.tasks)),
@@ -97,13 +97,14 @@ class Evidence(Estimates):
         """Return the same trajectories weighed by another method.
 
         Raises:
-          ValueError: if they were not drawn one by one, as both methods need.
+          ValueError: if one of the two methods is not "importance" or "plain": only these share
+            trajectories.
         """
         if method == self.method:
             return self
         if not {method, self.method} <= set(REWEIGHED):
             raise ValueError(
-                f"method: trajectories drawn by {self.method!r} cannot be weighed by {method!r}: "
+                f"method: trajectories sampled by {self.method!r} cannot be weighed by {method!r}: "
                 "sample anew"
             )
         summary = summarise(self.problem, self.samples, method, self.sampling_beta)
@@ -113,10 +114,10 @@ class Evidence(Estimates):
         """Return the same trajectories weighed for a demonstrator of another inverse temperature.
 
         A trajectory's log-weight gains (beta - beta of this evidence) R(xi), whatever the method
-        (the paper, Theorem 2). The further beta is from `sampling_beta`, the fewer trajectories are
-        left by weight: `infer` says so where they are too few. Whole trajectories kept for
-        pictures remain those of `sampling_beta`, and so does the solver's soft value, which is left
-        out.
+        (the paper, Theorem 2). The further beta is from `sampling_beta`, the smaller the effective
+        sample size: `infer` warns where it is too small. Whole trajectories kept for pictures
+        remain those of `sampling_beta`. The solver's soft value, which is of that beta too, is
+        left out.
 
         Args:
           beta: nats per unit of reward.
@@ -144,7 +145,7 @@ class Evidence(Estimates):
 
         Raises:
           ValueError: if they differ in problem, method, solver, seed, number of trajectories or the
-            beta that these were drawn for.
+            beta that the trajectories were sampled for.
         """
         for other in others:
             for field in ("method", "num_trajectories", "solver", "seed", "sampling_beta"):
@@ -186,7 +187,7 @@ class Evidence(Estimates):
 
     @classmethod
     def load(cls, path: str | Path) -> Evidence:
-        """Read evidence; the trajectories' part is read and checked when first used.
+        """Read evidence; its trajectories are read and checked on first use.
 
         Raises:
           store.StoreError: if the file is cut short, altered, or of another kind or version.
@@ -210,5 +211,5 @@ class Evidence(Estimates):
 
 
 def _concatenated(parts: Sequence[Fields]) -> Fields:
-    """Return named tuples of arrays as one, joined along the first axis of every array."""
+    """Join named tuples of arrays along the first axis of every array."""
     return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))

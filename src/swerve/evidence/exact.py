@@ -1,11 +1,11 @@
-"""Exact answers in the form of evidence.
+"""Give exact answers the form of evidence.
 
-A solver that works pi_0 out, rather than sample it, gives log Z_0, Z_c / Z_0 for each hypothesis,
-and a few trajectories drawn from pi_0 itself, for pictures. For each of them
+An exact solver gives log Z_0, Z_c / Z_0 for each hypothesis, and a few trajectories sampled from
+pi_0 itself, for pictures. For each of these trajectories
 
     log pi_0(xi) = beta R(xi) + log m(xi) - log Z_0.
 
-Shapes: M trajectories drawn, T steps, n states, H hypotheses, B = ceil(H / 8) bytes.
+Shapes: M sampled trajectories, T steps, n states, H hypotheses, B = ceil(H / 8) bytes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from swerve.problem.problem import Problem
 
 
-class Drawn(NamedTuple):
-    """Trajectories drawn from pi_0; after its end one repeats its last state.
+class KeptTrajectories(NamedTuple):
+    """Trajectories sampled from pi_0, kept for pictures; a shorter one repeats its last state.
 
     Attributes:
       states: [M, T+1, n].
@@ -43,23 +43,23 @@ class Drawn(NamedTuple):
 
 
 class ExactAnswer(NamedTuple):
-    """What is so for one task.
+    """The exact answer for one task.
 
     Attributes:
       log_partition: log Z_0, nats.
       log_ratio: [H] log Z_c / Z_0, nats; -inf where nothing avoids a hypothesis.
-      drawn: trajectories from pi_0.
-      step: seconds between two states of those, where not the MDP's dt.
+      kept: trajectories sampled from pi_0.
+      step: time between two states of these [s]; the MDP's dt if None.
     """
 
     log_partition: float
     log_ratio: np.ndarray
-    drawn: Drawn
+    kept: KeptTrajectories
     step: float | None = None
 
     @property
     def avoid_probability(self) -> np.ndarray:
-        """[H] Z_c / Z_0; 0 where it is too small for a number."""
+        """[H] Z_c / Z_0; 0 where it underflows."""
         return np.exp(self.log_ratio)
 
 
@@ -112,20 +112,20 @@ def exact_evidence(
     Raises:
       ValueError: if log Z_0 is not finite.
     """
-    log_partition, drawn = answer.log_partition, answer.drawn
+    log_partition, kept = answer.log_partition, answer.kept
     if not math.isfinite(log_partition):
         raise ValueError(
             f"no trajectory is allowed, log Z_0 = {log_partition}: the goal cannot be reached "
             f"within the horizon of {record.num_steps} steps, or known constraints are in the way"
         )
     numbers = Samples(
-        total_reward=drawn.total_reward[None],
-        log_probability=np.zeros((1, len(drawn.length))),
-        length=drawn.length[None],
-        log_correction=np.zeros((1, len(drawn.length))),
-        ancestor=np.arange(len(drawn.length))[None],
-        violations=drawn.violations[None],
-        kept=drawn.states[None],
+        total_reward=kept.total_reward[None],
+        log_probability=np.zeros((1, len(kept.length))),
+        length=kept.length[None],
+        log_correction=np.zeros((1, len(kept.length))),
+        ancestor=np.arange(len(kept.length))[None],
+        violations=kept.violations[None],
+        kept=kept.states[None],
         soft_value=np.array([log_partition]),
     )
     samples = numbers._replace(log_probability=log_weights(record, numbers) - log_partition)
@@ -139,13 +139,13 @@ def exact_evidence(
         kl=np.zeros(1),
         island_log_partition=np.full((1, NUM_ISLANDS), log_partition),
         avoid_without_island=answer.avoid_probability[None, None].astype(np.float32),
-        effective_sample_size=np.array([float(len(drawn.length))]),
+        effective_sample_size=np.array([float(len(kept.length))]),
     )
     return Evidence(
         problem=record,
         tasks=Task(task.start[None], task.goal[None]),
         method=EXACT,
-        num_trajectories=len(drawn.length),
+        num_trajectories=len(kept.length),
         solver=solver,
         seed=seed,
         summary=summary,

@@ -1,4 +1,4 @@
-"""Sampled trajectories reduced to numbers and bits, and summed up in small tables.
+"""Reduce sampled trajectories to numbers and bits, and sum them up in small tables.
 
 Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M kept trajectories, T steps,
 n states.
@@ -14,18 +14,16 @@ from swerve.evidence import estimators
 from swerve.problem.record import ProblemRecord
 
 METHODS = ("smc", "importance", "plain")
-TEMPERED = "tempered"  # what the method is called where a beta is reached by those between
-RESAMPLED = ("smc", TEMPERED)  # methods whose trajectories are those of pi_0, in islands
-REWEIGHED = ("importance", "plain")  # methods that share trajectories
-SMC_SOLVERS = ("grid", "soft-value", "distilled")  # whose policies have a soft value
-ADAPTING_SOLVERS = ("grid", "soft-value")  # that can go on with more known constraints
-NUM_ISLANDS = 20  # parts of the trajectories of a task that have nothing to do with one another
-EXACT = "exact"  # what the method of evidence is called that a solver gave without sampling
+TEMPERED = "tempered"  # method of evidence whose beta was reached by way of betas between
+RESAMPLED = ("smc", TEMPERED)  # methods whose trajectories follow pi_0, sampled in islands
+REWEIGHED = ("importance", "plain")  # methods that weigh the same trajectories differently
+NUM_ISLANDS = 20  # independent parts of the trajectories of a task
+EXACT = "exact"  # method of evidence that a solver worked out without sampling
 NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures
 
 
 class Sampled(Protocol):
-    """What has the numbers that a trajectory is weighed by, each [..., N]."""
+    """Numbers that trajectories are weighed by, each [..., N]."""
 
     @property
     def total_reward(self) -> Any:
@@ -34,7 +32,7 @@ class Sampled(Protocol):
 
     @property
     def log_probability(self) -> Any:
-        """Log-probability under the policy that drew them, nats."""
+        """Log-probability under the policy that sampled them, nats."""
         ...
 
     @property
@@ -48,14 +46,14 @@ class Samples(NamedTuple):
 
     Attributes:
       total_reward: [K, N] R(xi); -inf where a known constraint was entered.
-      log_probability: [K, N] log pi(xi) under the policy that drew it, nats.
+      log_probability: [K, N] log pi(xi) under the policy that sampled it, nats.
       length: [K, N] steps taken.
-      log_correction: [K, N] what resampling adds to the log-weight, nats; 0 without.
-      ancestor: [K, N] which of the N trajectories at the start each comes from.
+      log_correction: [K, N] correction of the log-weight for resampling, nats; 0 without it.
+      ancestor: [K, N] index of the trajectory at the start that each descends from.
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
-      kept: [K, M, T+1, n] a few whole trajectories, drawn by weight, for pictures.
-      soft_value: [K] log Z_0 by the solver's own soft value at the beta that they were drawn for,
-        nats; NaN where it has none.
+      kept: [K, M, T+1, n] a few whole trajectories, chosen by weight, for pictures.
+      soft_value: [K] log Z_0 by the solver's own soft value at the beta that they were sampled
+        for, nats; NaN where the solver has none.
     """
 
     total_reward: np.ndarray
@@ -74,25 +72,25 @@ class Summary(NamedTuple):
     Attributes:
       avoid_probability: [K, H] Z_c / Z_0.
       avoid_variance: [K, H] its sampling variance.
-      log_ratio: [K, H] its log, nats, which exact answers know where the ratio is no number.
-      log_ratio_error: [K, H] its standard error, nats, where it was worked out with the constraint
-        in force (see `resolving`) or is exact; infinite where that did not settle it; NaN where it
-        was not tried.
+      log_ratio: [K, H] log Z_c / Z_0, nats; exact answers know it where the ratio underflows.
+      log_ratio_error: [K, H] standard error of `log_ratio`, nats, where it was sampled with the
+        constraint in force (see `sampling.resolve`), 0 where it is exact; infinite where sampling
+        with the constraint in force did not settle it; NaN where that was not tried.
       log_partition: [K] log Z_0, nats.
       kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" and "tempered"
-        KL(pi_0 || pi). pi_0 is that of the problem's beta, but for "plain" that of the beta drawn
-        for, which it takes pi for.
-      effective_sample_size: [K] of the weights in full, and for "plain" of its own where that is
-        less; first those of trajectories that come from the same one at the start are added.
-      distinct_share: [K] share of the trajectories at the start that any comes from.
+        KL(pi_0 || pi). pi_0 is that of the problem's beta; for "plain" that of the beta sampled
+        for, since equal weights assume pi = pi_0.
+      effective_sample_size: [K] of the importance weights; for "plain" of its own weights where
+        that is smaller. Weights of trajectories with the same ancestor are added first.
+      distinct_share: [K] share of the trajectories at the start that have descendants.
       island_log_partition: [K, I] log Z_0 by each island alone, nats.
       avoid_without_island: [K, I, H] Z_c / Z_0 by all islands but one, float32.
-      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where it has none, or only
-        that of another beta.
-      end: [K, n] the middle of the box of states where the trajectories kept end.
+      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where the solver has none,
+        or one of another beta.
+      end: [K, n] the middle of the box around the last states of the kept trajectories.
       end_reach: [K, n] half the sides of that box.
       shortest: [K] duration of the shortest trajectory [s].
-      fastest: [K, n] the fastest change of each state [a second] in the trajectories kept.
+      fastest: [K, n] the fastest change of each state [a second] in the kept trajectories.
     """
 
     avoid_probability: np.ndarray
@@ -118,17 +116,17 @@ def summarise(
     """Estimate what inference needs from sampled trajectories of K tasks.
 
     Args:
-      problem: whose pi_0 is asked for.
+      problem: pi_0 of this problem is estimated.
       samples: the trajectories.
-      method: by which they are weighed.
-      sampling_beta: the beta that they were drawn for; that of the problem if None.
+      method: how to weigh them.
+      sampling_beta: the beta that they were sampled for; the problem's if None.
     """
     rows = []
     sampling_beta = problem.beta if sampling_beta is None else sampling_beta
-    drawn_by = log_weights(problem, samples)
-    used_by = weights_used(problem, samples, method, sampling_beta)
-    for k, log_weight in enumerate(drawn_by + samples.log_correction):
-        used = used_by[k]
+    importance = log_weights(problem, samples)
+    weights = weights_used(problem, samples, method, sampling_beta)
+    for k, log_weight in enumerate(importance + samples.log_correction):
+        used = weights[k]
         log_partition = estimators.log_partition(log_weight)
         kept, ancestor = samples.kept[k], samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
@@ -136,10 +134,10 @@ def summarise(
         estimate = estimators.avoid_probability(
             used, samples.violations[k], len(problem.hypotheses)
         )
-        if len(np.unique(ancestor)) < len(ancestor):  # they depend on one another
+        if len(np.unique(ancestor)) < len(ancestor):  # trajectories depend on one another
             estimate = estimate._replace(avoid_variance=of_islands.variance())
         if method in RESAMPLED:
-            kl = float(estimators.normalise(log_weight) @ _finite(drawn_by[k])) - log_partition
+            kl = float(estimators.normalise(log_weight) @ _finite(importance[k])) - log_partition
         else:
             assumed = _finite(used) if method == "plain" else 0.0
             kl = _kl_divergence(log_weight - assumed)
@@ -164,7 +162,7 @@ def summarise(
 
 
 def islands(num_trajectories: int) -> list[np.ndarray]:
-    """Return the numbers of the trajectories of each island; a lone one is its own."""
+    """Return the indices of the trajectories of each island; one trajectory is one island."""
     num_islands = min(NUM_ISLANDS, num_trajectories)
     return np.array_split(np.arange(num_trajectories), num_islands)
 
@@ -172,7 +170,7 @@ def islands(num_trajectories: int) -> list[np.ndarray]:
 def _of_islands(
     log_weight: np.ndarray, violations: np.ndarray, problem: ProblemRecord
 ) -> estimators.Parts:
-    """Return what each island of a task weighs, and what of that enters each hypothesis."""
+    """Return the weight of each island of a task, and the part that avoids each hypothesis."""
     sizes = [len(part) for part in islands(len(log_weight))]
     group = np.repeat(np.arange(len(sizes)), sizes)
     return estimators.parts(log_weight, violations, len(problem.hypotheses), group)
@@ -189,7 +187,7 @@ def _kl_divergence(log_weight: np.ndarray) -> float:
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
-    """Return values with 0 for those of no weight."""
+    """Return values with 0 in place of infinite ones."""
     return np.where(np.isfinite(values), values, 0.0)
 
 
@@ -223,8 +221,8 @@ def weights_used(
 ) -> np.ndarray:
     """Return the log-weights [K, N] that a method uses, nats.
 
-    Those in full, but for "plain": it takes the policy for pi_0 at the beta that the trajectories
-    were drawn for, which leaves (beta - sampling_beta) R (the paper, Theorem 2).
+    These are the importance weights, except for "plain": assuming that the policy is pi_0 at the
+    beta sampled for, (beta - sampling_beta) R is left of them (the paper, Theorem 2).
     """
     if method != "plain":
         return log_weights(problem, samples) + samples.log_correction

@@ -1,1 +1,1 @@
-"""Package."""
+"""Numbers from evidence and demonstrations: scores, rankings, posteriors, picks, pairs."""

@@ -1,11 +1,11 @@
-"""What constraints in force leave: log P(avoid c | avoid C) of every hypothesis, as C grows.
+"""Estimate log P(avoid c | avoid C) of every hypothesis c, as the constraints C in force grow.
 
-Of samples with weights w, C covers the trajectories that enter one of it, and the others tell
+With samples of weights w it is estimated by the trajectories that avoid all of C,
 
     P(avoid c | avoid C) = 1 - sum_n w_n 1[n avoids C, enters c] / sum_n w_n 1[n avoids C].
 
-A trajectory is taken off the sums for all hypotheses once, when it is first covered, so that all
-picks together unpack the bits once at most. Exact answers are worked out anew with C in force.
+A trajectory leaves the sums of all hypotheses once, when it first enters a constraint in force, so
+that all picks together unpack the bits once at most. Exact answers are solved anew with C in force.
 
 Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M hypotheses asked for.
 """
@@ -26,17 +26,17 @@ from swerve.inference.ranking import Ranking
 if TYPE_CHECKING:
     from swerve.evidence.exact import ExactNominal
 
-ROWS, COLUMNS = 256, 64  # trajectories and bytes unpacked at a time: half a MB of numbers
-PART = 16  # bits; 256 numbers of as many add up to 24 bits at most, which float32 holds
-NUM_PARTS = 3
-DIGITS = 1e-2  # share of a sum that may be left of it by subtraction
+ROWS, COLUMNS = 256, 64  # trajectories and bytes unpacked at a time: half a MB, fits the cache
+PART = 16  # bits of a part of a weight: sums of 256 parts have 24 bits, which float32 holds
+NUM_PARTS = 3  # parts of a weight, so 48 bits
+DIGITS = 1e-2  # least share of a sum to leave by subtraction: below it digits are lost
 
 
-class Coverage(Protocol):
-    """log P(avoid c | avoid C), nats; for each task C holds what counts for it.
+class Conditional(Protocol):
+    """log P(avoid c | avoid C), nats; for each task C holds the constraints that count for it.
 
     Attributes:
-      log_ratio: [K, H] for all hypotheses; where next to nothing avoids c, to six digits.
+      log_ratio: [K, H] for all hypotheses; to six digits where hardly any trajectory avoids c.
     """
 
     log_ratio: np.ndarray
@@ -50,16 +50,16 @@ class Coverage(Protocol):
         ...
 
 
-def coverage(inference: Ranking, nominal: ExactNominal | None) -> Coverage:
-    """Return the coverage of an inference with nothing in force.
+def conditional(inference: Ranking, nominal: ExactNominal | None) -> Conditional:
+    """Return the ratios of an inference with no constraint in force.
 
     Args:
-      inference: of one demonstration or more.
-      nominal: of an exact solver, where the evidence is exact.
+      inference: from one demonstration or more.
+      nominal: of an exact solver, if the evidence is exact.
 
     Raises:
-      ValueError: if there is no demonstration, or the nominal is missing, of another problem, not
-        exact, or not asked for.
+      ValueError: if there is no demonstration; if the evidence is exact and the nominal is missing,
+        of another problem or not exact; or if the evidence was sampled and a nominal is given.
     """
     evidence = inference.evidence
     if not inference.demonstrations:
@@ -70,7 +70,7 @@ def coverage(inference: Ranking, nominal: ExactNominal | None) -> Coverage:
                 "nominal: this evidence was sampled, and its trajectories are reweighed: leave the "
                 "nominal distribution out"
             )
-        return SampledCoverage(inference)
+        return SampledConditional(inference)
     if nominal is None:
         raise ValueError(
             "nominal: this evidence is exact and holds no samples to reweigh: give the nominal "
@@ -83,55 +83,55 @@ def coverage(inference: Ranking, nominal: ExactNominal | None) -> Coverage:
             f"nominal: expected that of {evidence.problem.summary}, got one of "
             f"{nominal.problem.record.summary}"
         )
-    return ExactCoverage(inference, nominal)
+    return ExactConditional(inference, nominal)
 
 
-class SampledCoverage:
-    """Coverage of sampled evidence.
+class SampledConditional:
+    """Ratios by sampled evidence.
 
-    As long as nothing is in force for a task its ratios are those of the evidence, with what
-    `resolve` worked out; after that, trajectories alone tell.
+    As long as no constraint is in force for a task, its ratios are those of the evidence, those
+    from `resolve` among them. After that the trajectories alone give the ratios.
     """
 
     def __init__(self, inference: Ranking) -> None:
         self._evidence = inference.evidence
         self._is_counted = inference.is_counted
-        self._uncovered: dict[int, Uncovered] = {}
+        self._avoiding: dict[int, Avoiding] = {}
         self.log_ratio = inference.evidence.log_ratio.copy()
 
     def add(self, index: int) -> None:
         """Put one more hypothesis in force."""
         evidence = self._evidence
         for k in np.flatnonzero(self._is_counted[:, index]).tolist():
-            if k not in self._uncovered:
+            if k not in self._avoiding:
                 avoid = evidence.summary.avoid_probability[k]
                 bits = evidence.samples.violations[k]
                 ancestor = evidence.samples.ancestor[k]
-                self._uncovered[k] = Uncovered(evidence.log_weight[k], bits, avoid, ancestor)
-            self._uncovered[k].cover(index)
-            self.log_ratio[k] = self._uncovered[k].log_ratio(self.log_ratio.shape[1])
+                self._avoiding[k] = Avoiding(evidence.log_weight[k], bits, avoid, ancestor)
+            self._avoiding[k].put_in_force(index)
+            self.log_ratio[k] = self._avoiding[k].log_ratio(self.log_ratio.shape[1])
 
     def refined(self, indices: np.ndarray) -> LogRatio:
         """Return the ratios [K, M] of some hypotheses to all digits, with standard errors."""
         evidence = self._evidence
         value, error = (x[:, indices] for x in (evidence.log_ratio, evidence.standard_error))
         columns, place = bytes_of(indices)
-        for k, uncovered in self._uncovered.items():
-            found = uncovered.refined(columns)
+        for k, avoiding in self._avoiding.items():
+            found = avoiding.refined(columns)
             for row, of_columns in zip((value[k], error[k]), found, strict=True):
                 row[:] = of_columns[place]
         return LogRatio(value, error)
 
 
-class Uncovered:
-    """The trajectories of a task that avoid what is in force.
+class Avoiding:
+    """The trajectories of a task that avoid all constraints in force.
 
     Args:
       log_weight: [N] nats.
       violations: [N, B] packed bits.
-      avoid_probability: [H] of all of them.
-      ancestor: [N] which one at the start each comes from; where some share one they depend on one
-        another, and only islands of them are independent.
+      avoid_probability: [H] Z_c / Z_0 by all N trajectories.
+      ancestor: [N] index of the trajectory at the start that each descends from. Trajectories with
+        a common ancestor depend on each other; only islands are independent then.
     """
 
     def __init__(
@@ -149,10 +149,10 @@ class Uncovered:
         self._entered[: len(avoid_probability)] = 1.0 - avoid_probability
 
     def _weigh(self) -> None:
-        """Weigh the trajectories that are left, so that all together have weight 1.
+        """Weigh the trajectories that are left, so that their weights sum to 1.
 
-        Weights are rounded to whole numbers of 48 bits, in parts that float32 adds up exactly: it
-        takes about half as long as float64.
+        Weights are rounded to whole numbers of 48 bits, in parts that float32 adds up exactly:
+        sums in float32 take about half as long as in float64.
         """
         self._weight = np.zeros(len(self._log_weight))
         self._weight[self._rows] = estimators.normalise(self._log_weight[self._rows])
@@ -162,20 +162,20 @@ class Uncovered:
         parts[:-1] %= 2.0**PART
         self._parts, self._place = parts.astype(np.float32), scale * 2.0**shifts
 
-    def cover(self, index: int) -> None:
+    def put_in_force(self, index: int) -> None:
         """Leave out the trajectories that enter a hypothesis."""
         enters = select_one(self._violations, self._rows, index)
-        covered, self._rows = self._rows[enters], self._rows[~enters]
+        entering, self._rows = self._rows[enters], self._rows[~enters]
         if not len(self._rows):
             return
-        if len(covered) < len(self._rows) and self._weight[self._rows].sum() > DIGITS:
-            self._entered -= self._sum(covered)
-        else:  # quicker, or a difference would be rounding
+        if len(entering) < len(self._rows) and self._weight[self._rows].sum() > DIGITS:
+            self._entered -= self._sum(entering)
+        else:  # fewer trajectories are left than were left out, or a difference would lose digits
             self._weigh()
             self._entered = self._sum(self._rows)
 
     def _sum(self, rows: np.ndarray) -> np.ndarray:
-        """Return the weight [8 B] of some trajectories that enters each hypothesis."""
+        """Return the weight [8 B] of those of some trajectories that enter each hypothesis."""
         total = np.zeros_like(self._entered)
         for first in range(0, len(rows), ROWS):
             some = rows[first : first + ROWS]
@@ -185,7 +185,7 @@ class Uncovered:
         return total
 
     def log_ratio(self, num_hypotheses: int) -> np.ndarray:
-        """Return the log ratios [H], nats; 0 where no trajectory is left that could tell."""
+        """Return the log ratios [H], nats; 0 where no trajectory is left to tell them."""
         if not len(self._rows):
             return np.zeros(num_hypotheses)
         avoid = 1.0 - self._entered[:num_hypotheses] / self._weight[self._rows].sum()
@@ -198,7 +198,7 @@ class Uncovered:
     def refined(self, columns: np.ndarray) -> LogRatio:
         """Return the log ratios of the hypotheses of some bytes, eight each, and their errors."""
         num_hypotheses = 8 * len(columns)
-        if not len(self._rows):  # nothing is left that could tell
+        if not len(self._rows):  # no trajectory is left to tell them
             return LogRatio(np.zeros(num_hypotheses), np.full(num_hypotheses, np.inf))
         estimate = estimators.avoid_probability(
             self._log_weight[self._rows],
@@ -211,9 +211,9 @@ class Uncovered:
         return estimators.log_ratio(estimate, self._resolution)
 
     def _island_variance(self, columns: np.ndarray) -> np.ndarray:
-        """Return the variance [8 M] of what is avoided of some bytes, by how islands differ.
+        """Return the variance [8 M] of the probabilities of some bytes, by the spread over islands.
 
-        Infinite where all that is left is of one island.
+        Infinite where all trajectories that are left are of one island.
         """
         num = len(self._log_weight)
         island_of = np.zeros(num, int)
@@ -227,26 +227,26 @@ class Uncovered:
         return estimators.parts(log_weight, bits, 8 * len(columns), island_of).variance()
 
 
-class ExactCoverage:
-    """Coverage by an exact solver."""
+class ExactConditional:
+    """Ratios by an exact solver."""
 
     def __init__(self, inference: Ranking, nominal: ExactNominal) -> None:
         self._tasks = inference.evidence.tasks
         self._is_counted = inference.is_counted
         self._nominal = nominal
-        self._picked: list[int] = []
+        self._in_force: list[int] = []
         self.log_ratio = inference.evidence.log_ratio.copy()
 
     def add(self, index: int) -> None:
         """Put one more hypothesis in force."""
-        self._picked.append(index)
+        self._in_force.append(index)
         for k in np.flatnonzero(self._is_counted[:, index]).tolist():
-            avoiding = [c for c in self._picked if self._is_counted[k, c]]
+            avoiding = [c for c in self._in_force if self._is_counted[k, c]]
             task = Task(*(values[k] for values in self._tasks))
             answer = self._nominal.answer(task, np.random.default_rng(0), avoiding=avoiding)
             self.log_ratio[k] = answer.log_ratio
 
     def refined(self, indices: np.ndarray) -> LogRatio:
-        """Return the ratios [K, M] of some hypotheses; they have no errors."""
+        """Return the ratios [K, M] of some hypotheses; their standard errors are 0."""
         value = self.log_ratio[:, indices]
         return LogRatio(value, np.zeros_like(value))

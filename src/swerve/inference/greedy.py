@@ -1,17 +1,17 @@
-"""Several constraints, one after another: greedy selection (Scobee & Sastry, 2019, Algorithm 2).
+"""Pick several constraints, one after another (Scobee & Sastry, 2019, Algorithm 2).
 
-With C in force the likelihood of the demonstrations, each of which ignores it with probability eps,
-is (see `likelihood`)
+A demonstration ignores the constraints C in force with probability eps. The log-likelihood of the
+demonstrations is (see `likelihood`)
 
     log L(C) = sum_d log(eps + (1 - eps) 1[d avoids C] Z_0 / Z_C(task of d)),
 
-where for each task C is what counts for it. The next pick is the hypothesis c of the largest gain
-log L(C + c) - log L(C), which with eps = 0 is
+where for each task C holds the constraints that count for it. The next pick is the hypothesis c of
+the largest gain log L(C + c) - log L(C), which with eps = 0 is
 
     - sum_d log P(avoid c | avoid C)    over the c that no demonstration enters,
 
-D times what it takes off KL(demonstrations || pi_C), see `rewards.divergence`. It ends where the
-gain falls below a threshold, or one more constraint, whichever, is less probable than no more.
+D times the fall of KL(demonstrations || pi_C), see `fitting.rewards.divergence`. Picking ends where
+the gain falls below a threshold, or one more constraint is less probable than no more.
 
 Shapes: K tasks, H hypotheses, D demonstrations, M hypotheses asked for.
 """
@@ -26,30 +26,30 @@ import numpy as np
 from swerve.base.arguments import number_or_nan, positive_number, whole_number
 from swerve.evidence.estimators import LogRatio
 from swerve.inference import likelihood, posterior
-from swerve.inference.conditional import Coverage, coverage
+from swerve.inference.conditional import Conditional, conditional
 from swerve.inference.ranking import Ranking, check_ranking
 
 if TYPE_CHECKING:
     from swerve.evidence.exact import ExactNominal
 
-TIED = 1e-9  # relative: gains closer than this are one, and the lowest index is taken
-NEAR = 1e-6  # relative: gains closer than this are looked at with all their digits
+TIED = 1e-9  # relative: closer gains are equal, and the hypothesis of the lowest index is picked
+NEAR = 1e-6  # relative: closer gains are estimated again with all their digits
 
 
 class Pick(NamedTuple):
-    """One constraint that was picked.
+    """One picked constraint.
 
     Attributes:
       hypothesis: its index.
-      gain: nats a demonstration by which it raises the likelihood, given those before it; where
-        next to no sample is left that avoids it, no more than the samples can tell.
-      standard_error: of the gain, nats, those before it taken as known; by how far islands differ
-        where trajectories share ancestors; 0 where answers are exact, infinite where no sample of
-        a task is left that could tell, or where those that are left are of one island.
-      log_partition: [K] log Z_C with this one and all before it in force, nats.
+      gain: nats a demonstration by which the pick raises the log-likelihood, given the picks before
+        it; a lower bound where hardly any sample that avoids those also avoids this pick.
+      standard_error: of the gain, nats, with the picks before taken as known; by the spread over
+        islands where trajectories share ancestors; 0 where answers are exact; infinite where no
+        sample of a task is left to tell the gain, or all that are left are of one island.
+      log_partition: [K] log Z_C with this pick and all before it in force, nats.
       total_gain: nats of all demonstrations together.
-      log_odds: posterior odds of one more constraint, whichever, against no more when it was
-        picked, nats; with prior odds of 1 unless others were given.
+      log_odds: log posterior odds of one more constraint, whichever, against no more at the time of
+        the pick, nats; with prior odds of 1 unless others were given.
     """
 
     hypothesis: int
@@ -71,21 +71,20 @@ def greedy(
     """Pick constraints one after another, as long as each explains enough.
 
     Args:
-      inference: from `infer`, whose tolerance, margin, clearance and prior hold for every pick. The
-        trajectories of its evidence are reweighed for what is picked. What `resolve` worked out
-        counts for the first pick; those after it are told by trajectories alone.
-      nominal: where the evidence is exact, the nominal distribution of the solver that it came
-        from, which is worked out anew with what is picked in force.
+      inference: from `infer`; its tolerance, margin, clearance and prior hold for every pick. The
+        trajectories of its evidence are reweighed for the picks in force. Ratios from `resolve`
+        count for the first pick; later picks rest on the trajectories alone.
+      nominal: if the evidence is exact, the nominal distribution that the evidence came from, which
+        is solved anew with the picks in force.
       threshold: least gain [nats a demonstration].
-      odds: prior odds of one more constraint against no more; it then ends as well where the
-        posterior odds are below 1. They are the prior odds times the mean of exp(total gain) over
-        the hypotheses that are not picked yet, by their prior, with 0 for those struck out. If None
-        that rule is left out.
-      most: picks at most; any number if None.
+      odds: prior odds of one more constraint against no more; picking then also ends where the
+        posterior odds are below 1. The posterior odds are the prior odds times the mean of
+        exp(total gain) over the hypotheses not picked yet, weighted by their prior, 0 for those
+        struck out. None leaves this rule out.
+      most: most picks; any number if None.
 
     Returns:
-      The picks, in order. What speaks against the samples they rest on is in the inference's
-      `warnings`.
+      The picks, in order. Warnings about the samples are in `inference.warnings`.
 
     Raises:
       ValueError: if there is no demonstration, the threshold is below zero or no number, the odds
@@ -97,12 +96,12 @@ def greedy(
         raise ValueError(f"threshold: expected {expected}, got {threshold}")
     log_prior_odds = 0.0 if odds is None else math.log(positive_number(odds, "odds"))
     most = None if most is None else whole_number(most, "most", 1)
-    covered, in_force = coverage(inference, nominal), InForce(inference)
+    ratios, in_force = conditional(inference, nominal), InForce(inference)
     picks: list[Pick] = []
     while most is None or len(picks) < most:
         if picks:
-            covered.add(picks[-1].hypothesis)
-        pick = _best(inference, in_force, covered)
+            ratios.add(picks[-1].hypothesis)
+        pick = _best(inference, in_force, ratios)
         if pick is None or pick.gain < max(threshold, TIED):
             break
         pick = pick._replace(log_odds=pick.log_odds + log_prior_odds)
@@ -113,14 +112,14 @@ def greedy(
     return picks
 
 
-def _best(inference: Ranking, in_force: InForce, covered: Coverage) -> Pick | None:
-    """Return the hypothesis of the largest gain among those left, None where none gains."""
+def _best(inference: Ranking, in_force: InForce, ratios: Conditional) -> Pick | None:
+    """Return the hypothesis of the largest gain among those left, None if no gain is above 0."""
     num = in_force.num_demonstrations
-    total_gain = in_force.gains(covered.log_ratio)
+    total_gain = in_force.gains(ratios.log_ratio)
     near = in_force.near_best(total_gain)
     if not len(near):
         return None
-    refined = covered.refined(near)
+    refined = ratios.refined(near)
     total_gain[near] = in_force.gains(refined.value, near)
     best = float(total_gain[near].max()) / num
     is_best = total_gain[near] / num >= best - TIED * max(1.0, best)
@@ -139,7 +138,7 @@ def _best(inference: Ranking, in_force: InForce, covered: Coverage) -> Pick | No
 
 
 class InForce:
-    """Constraints in force, and what one more would gain.
+    """Constraints in force, and the gain of one more.
 
     Attributes:
       left: [H] True for hypotheses that may be picked.
@@ -168,13 +167,13 @@ class InForce:
 
     @property
     def _log_share(self) -> np.ndarray:
-        """[K] log Z_C / Z_0, nats; 0 where no demonstration avoids C: there it may be infinite."""
+        """[K] log Z_C / Z_0, nats; 0 where no demonstration avoids C, since it may be infinite."""
         share = self.log_partition - self._inference.evidence.log_partition
         task_of = self._inference.task_of[self._is_obeyed]
         return np.where(np.bincount(task_of, minlength=len(share)) > 0, share, 0.0)
 
     def _counts_of_obeyed(self) -> likelihood.Counts:
-        """Return the demonstrations that avoid and enter one more, of those that avoid C."""
+        """Count the demonstrations that avoid C and avoid or enter each hypothesis."""
         inference = self._inference
         task_of, entered = inference.task_of[self._is_obeyed], inference.entered[self._is_obeyed]
         entering = np.zeros(inference.is_counted.shape)
@@ -184,19 +183,20 @@ class InForce:
         return likelihood.Counts((num - entering) * is_counted, entering * is_counted)
 
     def gains(self, log_ratio: np.ndarray, indices: np.ndarray | None = None) -> np.ndarray:
-        """Return log L(C + c) - log L(C) [M], nats; infinite where nobody can avoid c.
+        """Return log L(C + c) - log L(C) [M], nats; infinite where no trajectory can avoid c.
 
-        A demonstration that enters C already gains nothing. One that avoids it gains the more the
-        fewer trajectories avoid c as well, and falls to log eps where it enters c itself.
+        A demonstration that enters C already gains nothing. A demonstration that avoids C and c
+        gains more where fewer trajectories that avoid C avoid c as well; its likelihood falls to
+        eps where it enters c.
 
         Args:
           log_ratio: [K, M] log P(avoid c | avoid C), nats.
-          indices: [M] which hypotheses these are of; all of them if None.
+          indices: [M] the hypotheses of these ratios; all hypotheses if None.
         """
         tolerance = self._inference.tolerance
         counts = self._counts_at(indices)
         before = likelihood.avoiding_term(self._log_share, tolerance)[:, None]
-        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # elsewhere it may be infinite
+        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # else it may be inf
         after = likelihood.avoiding_term(self._log_share[:, None] + log_ratio, tolerance)
         gain = counts.avoiding * (after - before)
         if tolerance > 0.0:
@@ -209,14 +209,14 @@ class InForce:
         return likelihood.Counts(*(values[:, indices] for values in self._counts))
 
     def gain_error(self, index: int, log_ratio: LogRatio) -> float:
-        """Return the standard error of the gain of one more, given its log ratios [K], nats."""
-        used = self._counts.avoiding[:, index] > 0  # elsewhere ratio and error may be infinite
+        """Return the standard error of the gain of one more hypothesis, given its log ratios."""
+        used = self._counts.avoiding[:, index] > 0  # else both may be inf
         num, log_share = self._counts.avoiding[used, index], self._log_share[used]
         slope = likelihood.sensitivity(log_share + log_ratio.value[used], self._inference.tolerance)
         return float(np.linalg.norm(num * slope * log_ratio.standard_error[used]))
 
     def near_best(self, total_gain: np.ndarray) -> np.ndarray:
-        """Return the hypotheses [M] left that may be the best; none where none gains anything."""
+        """Return the hypotheses [M] whose gain is near the largest; none if no gain is above 0."""
         gain = np.where(self.left & np.isfinite(total_gain), total_gain, -np.inf)
         gain = gain / self.num_demonstrations
         best = float(gain.max())
@@ -225,7 +225,7 @@ class InForce:
         return np.flatnonzero(gain >= best - max(NEAR * best, 2.0 * TIED))
 
     def log_bayes_factor(self, total_gain: np.ndarray) -> float:
-        """Return log P(demonstrations | one more, whichever) / P(demonstrations | C), nats."""
+        """Return log P(demonstrations | C and one more) / P(demonstrations | C), nats."""
         prior = np.where(np.r_[False, self._is_picked], 0.0, self._inference.prior)
         if not prior[1:].any():
             return -math.inf

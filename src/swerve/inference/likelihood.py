@@ -1,11 +1,11 @@
-"""How likely demonstrations are under each hypothesis, against no constraint at all.
+"""Compute how likely demonstrations are under each hypothesis, against no constraint.
 
-A demonstration d of task k obeys the constraint, but ignores it with a probability eps:
+A demonstration d of task k ignores the constraint with probability eps (the tolerance):
 
     L_d(c) = eps + (1 - eps) 1[d avoids c] Z_0 / Z_c(task_k),    log L(c) = sum_d log L_d(c).
 
-With eps = 0 (the paper) one that enters c rules it out. A task says nothing of a hypothesis that
-lies beside its start or its goal: no demonstration of it enters, whether it is a constraint or not.
+With eps = 0 (the paper) a demonstration that enters c rules c out. A task says nothing of a
+hypothesis beside its start or goal: no demonstration of the task enters there, constraint or not.
 
 Shapes: K tasks, D demonstrations, H hypotheses.
 """
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from swerve.problem.record import ProblemRecord
 
 THRESHOLD = 0.1  # nats a demonstration: the least gain for which greedy selection picks
-MAX_TOLERANCE = 0.5
-NUM_TOLERANCES = 61  # tried first, between the least and the largest, evenly in their logs
-LEAST_TOLERANCE = 1e-6
-SAME_TOLERANCE = 1e-3  # apart in their logs: refined so far
+MAX_TOLERANCE = 0.5  # probability: a constraint ignored more often than not tells nothing
+NUM_TOLERANCES = 61  # tolerances tried first, evenly spaced in their logs
+LEAST_TOLERANCE = 1e-6  # probability: the smallest tolerance tried
+SAME_TOLERANCE = 1e-3  # difference of logs down to which the least tolerance is refined
 
 
 class Counts(NamedTuple):
@@ -66,7 +66,7 @@ def avoiding_term(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def sensitivity(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return by how much `avoiding_term` falls as log Z_c / Z_0 [...] rises, from 0 to 1."""
+    """Return -d `avoiding_term` / d log Z_c / Z_0 [...], from 0 to 1."""
     if tolerance == 0.0:
         return np.ones_like(log_ratio)
     return np.exp(math.log1p(-tolerance) - log_ratio - avoiding_term(log_ratio, tolerance))
@@ -76,8 +76,8 @@ def checked_tolerance(tolerance: float) -> float:
     """Return eps.
 
     Raises:
-      ValueError: if it is not from 0 to MAX_TOLERANCE: demonstrations that ignore a constraint more
-        often than not tell nothing of it, and with eps = 1 nothing at all.
+      ValueError: if eps is not from 0 to MAX_TOLERANCE: demonstrations that ignore a constraint
+        more often than not tell next to nothing of it.
     """
     expected = (
         f"the probability that a demonstration ignores the constraint, from 0 to {MAX_TOLERANCE}"
@@ -93,18 +93,19 @@ def is_counted(
 ) -> np.ndarray:
     """Return [K, H] whether demonstrations of a task count for or against a hypothesis.
 
-    They do not within the clearance of the task's ends; nor, with a margin, where an end lies in
-    the hypothesis but not as deep: nominal trajectories enter there, and demonstrations that come
-    no deeper would seem to obey a miracle.
+    They do not count where an end of the task lies within the clearance of the hypothesis. With a
+    margin they do not count either where an end lies in the hypothesis but less deep than the
+    margin: every nominal trajectory enters there, and a demonstration that goes no deeper would be
+    taken for strong evidence of the constraint.
 
     Args:
       problem: with the hypotheses.
-      tasks: K of them; goals have ends where they are states.
+      tasks: K tasks; a goal is an end of its task only where goals are states.
       clearance: the distance, in the units of the states that a hypothesis names, or None.
-      judged: the hypotheses less the margin; those of the problem where there is none.
+      judged: the hypotheses less the margin; the hypotheses themselves without a margin.
 
     Raises:
-      ValueError: if the distance is negative or no number, or a hypothesis has none.
+      ValueError: if the clearance is negative or no number, or a hypothesis has no distance.
     """
     space, hypotheses = problem.space, problem.hypotheses
     counted = np.ones((len(tasks.start), len(hypotheses)), bool)
@@ -129,7 +130,7 @@ def is_counted(
 def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:
     """Return the least eps with which a hypothesis is more probable than no constraint.
 
-    None where there is none up to MAX_TOLERANCE.
+    None where no tolerance up to MAX_TOLERANCE does.
 
     Args:
       log_ratio: [K, H] nats, finite where `counts` are not zero.

@@ -1,11 +1,11 @@
-"""The best pair of constraints, by looking at all of them.
+"""Find the best pair of constraints among all pairs.
 
     log L(a, b) = sum_d log(eps + (1 - eps) 1[d avoids a, b] Z_0 / Z_ab(task of d)),
     Z_ab / Z_0 = 1 - P(enter a) - P(enter b) + P(enter a and b) >= 1 - P(enter a) - P(enter b).
 
-Greedy selection need not find it: two constraints can explain together what neither explains much
-of alone. P(enter a and b) of all pairs is a matrix product a task; the inequality tells beforehand
-which pairs cannot be the best, and, as tasks are gone through one by one, which no longer can.
+Greedy selection need not find this pair: two constraints can together explain demonstrations that
+neither explains alone. P(enter a and b) of all pairs is one matrix product a task. The inequality
+rules out, before any product, pairs that cannot be the best, and more of them after each task.
 
 Shapes: K tasks, D demonstrations, N trajectories, H hypotheses, R and C of them, rows and columns.
 """
@@ -20,14 +20,14 @@ import numpy as np
 from swerve.evidence import estimators
 from swerve.hypotheses.bits import select
 from swerve.inference import likelihood
-from swerve.inference.conditional import coverage
+from swerve.inference.conditional import conditional
 from swerve.inference.greedy import TIED, InForce, greedy
 from swerve.inference.ranking import Ranking, check_ranking
 
 if TYPE_CHECKING:
     from swerve.evidence.exact import ExactNominal
 
-BLOCK = 256  # rows and columns looked at at a time
+BLOCK = 256  # rows and columns of a matrix product: bounds its memory
 
 
 class Pair(NamedTuple):
@@ -35,9 +35,9 @@ class Pair(NamedTuple):
 
     Attributes:
       hypotheses: their indices, the lower one first.
-      log_likelihood: log-likelihood ratio of both against no constraint, nats; where next to no
-        sample avoids both, no more than the samples can tell.
-      standard_error: of that, nats; 0 where answers are exact.
+      log_likelihood: log-likelihood ratio of both against no constraint, nats; a lower bound where
+        hardly any sample avoids both.
+      standard_error: of the log-likelihood ratio, nats; 0 where answers are exact.
       log_partition: [K] log Z with both in force, nats.
     """
 
@@ -50,24 +50,23 @@ class Pair(NamedTuple):
 def best_pair(inference: Ranking, nominal: ExactNominal | None = None) -> Pair:
     """Return the two hypotheses that together explain the demonstrations best.
 
-    With a tolerance the best of them alone may explain more than any two: compare with the largest
+    With a tolerance one hypothesis alone may explain more than any pair: compare with the largest
     `inference.log_likelihood`.
 
-    All pairs are looked at, or ruled out by a bound. The work grows with the square of the number
-    of hypotheses that explain anything, and with an exact solver with how long it takes to answer
-    with one of them in force.
+    Every pair is tried, or ruled out by a bound. The work grows with the square of the number of
+    hypotheses that explain anything. An exact solver solves once for each such hypothesis.
 
     Args:
-      inference: from `infer`, whose tolerance, margin and clearance hold for the pair. Of sampled
-        evidence trajectories alone tell, not what `resolve` worked out.
-      nominal: where the evidence is exact, the nominal distribution that it came from.
+      inference: from `infer`; its tolerance, margin and clearance hold for the pair. With sampled
+        evidence the trajectories alone count, not the ratios from `resolve`.
+      nominal: if the evidence is exact, the nominal distribution that the evidence came from.
 
     Raises:
       ValueError: if there is no demonstration, fewer than two hypotheses are left, no two of them
         can be avoided together, or the evidence is exact and its nominal is not given.
     """
     check_ranking(inference)
-    coverage(inference, nominal)  # checks that both go together
+    conditional(inference, nominal)  # checks that both go together
     left = np.flatnonzero(~inference.struck_out)
     if len(left) < 2:
         raise ValueError(
@@ -85,7 +84,7 @@ def best_pair(inference: Ranking, nominal: ExactNominal | None = None) -> Pair:
 
 
 def _of_samples(inference: Ranking, pair: tuple[int, int]) -> Pair:
-    """Return a pair with what samples tell of it."""
+    """Return a pair with its log-likelihood by the samples."""
     evidence, indices = inference.evidence, np.array(pair)
     found = []
     for k, log_weight in enumerate(evidence.log_weight):
@@ -108,21 +107,21 @@ def _of_samples(inference: Ranking, pair: tuple[int, int]) -> Pair:
 
 
 def _exactly(inference: Ranking, nominal: ExactNominal, ordered: np.ndarray) -> Pair:
-    """Return the best pair by solving anew with each hypothesis in force."""
+    """Return the best pair by solving once with each hypothesis in force."""
     best: Pair | None = None
     for place, index in enumerate(ordered[:-1].tolist()):
         evidence, others = inference.evidence, ordered[place + 1 :]
-        in_force, covered = InForce(inference), coverage(inference, nominal)
+        in_force, ratios = InForce(inference), conditional(inference, nominal)
         alone = np.where(inference.is_counted[:, index], evidence.log_ratio[:, index], 0.0)
         in_force.add(index, evidence.log_partition + alone)
-        covered.add(index)
-        value = inference.log_likelihood[index] + in_force.gains(covered.log_ratio)[others]
+        ratios.add(index)
+        value = inference.log_likelihood[index] + in_force.gains(ratios.log_ratio)[others]
         value = np.where(np.isfinite(value), value, -np.inf)
         least = -math.inf if best is None else best.log_likelihood
         if not value.max() > least + TIED * max(1.0, abs(value.max())):
             continue
         other = int(others[np.flatnonzero(value >= value.max() - TIED * abs(value.max()))[0]])
-        ratio = np.where(inference.is_counted[:, other], covered.log_ratio[:, other], 0.0)
+        ratio = np.where(inference.is_counted[:, other], ratios.log_ratio[:, other], 0.0)
         pair = (min(index, other), max(index, other))
         best = Pair(pair, float(value.max()), 0.0, in_force.log_partition + ratio)
     if best is None:
@@ -133,7 +132,7 @@ def _exactly(inference: Ranking, nominal: ExactNominal, ordered: np.ndarray) -> 
 
 
 class _Samples:
-    """What pairs of some hypotheses explain by samples, task by task.
+    """Log-likelihood ratios of pairs of hypotheses by samples, task by task.
 
     Args:
       inference: of sampled evidence.
@@ -155,9 +154,9 @@ class _Samples:
         self._avoids = [~enters[inference.task_of == k] for k in range(evidence.num_tasks)]
 
     def most(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return what each row [R] explains at most with any of the columns, nats.
+        """Return an upper bound [R] of each row's log-likelihood with any of the columns, nats.
 
-        The demonstrations that avoid both are no more than those that avoid the one.
+        At most as many demonstrations avoid both hypotheses as avoid the row's.
         """
         bound = np.zeros(len(rows))
         for k in self.tasks:
@@ -166,13 +165,13 @@ class _Samples:
         return bound
 
     def bound(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return what pairs [R, C] explain at most of a task, nats."""
+        """Return an upper bound [R, C] of the log-likelihood of pairs by one task, nats."""
         entered = self._entered[k]
         share = 1.0 - entered[rows, None] - entered[columns]
         return self._value(k, share, self._num_avoiding(k, rows, columns))
 
     def value(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return what pairs [R, C] explain of a task, nats."""
+        """Return the log-likelihood [R, C] of pairs by one task, nats."""
         entered, weight = self._entered[k], self._weight[k][:, None]
         both = (self._unpacked(k, rows) * weight).T @ self._unpacked(k, columns)
         share = 1.0 - entered[rows, None] - entered[columns] + both
@@ -197,7 +196,7 @@ class _Samples:
 
 
 def _search(samples: _Samples, known: Pair | None) -> tuple[int, int]:
-    """Return the best pair, or the one that is known already if none is better."""
+    """Return the best pair; the known pair if no other is better."""
     best = -math.inf if known is None else known.log_likelihood
     pair = None if known is None else known.hypotheses
     places = np.arange(len(samples.ordered))
@@ -221,10 +220,10 @@ def _search(samples: _Samples, known: Pair | None) -> tuple[int, int]:
 def _values(
     samples: _Samples, rows: np.ndarray, columns: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the rows and columns of which a pair explains more than `least`, and values [R, C].
+    """Return the rows and columns of pairs better than `least`, and their values [R, C].
 
-    Bounds become values as one task after another is gone through, and what falls below is left
-    out; -inf where the column does not come after the row.
+    The values start as upper bounds. Task after task replaces its bound by its value, and rows and
+    columns without a pair above `least` are left out. -inf where the column is not after the row.
     """
     value = np.where(rows[:, None] < columns, 0.0, -np.inf)
     for k in samples.tasks:

@@ -1,9 +1,10 @@
-"""The posterior over what a demonstrator obeys: no constraint, or one of the hypotheses.
+"""Compute the posterior: does a demonstrator obey no constraint, or one of the hypotheses?
 
     P(c | demonstrations) ~ prior(c) L(c),    L(none) = 1,
 
 with likelihood ratios L against no constraint. P(none) is 1/2 before any demonstration unless a
-prior says otherwise: were all alike, none could never win, since whatever is left has L(c) >= 1.
+prior says otherwise: with equal priors "none" could never win, since each hypothesis left has
+L(c) >= 1.
 
 Shapes: H hypotheses; probabilities [..., H + 1] begin with that of no constraint.
 """
@@ -20,19 +21,19 @@ from swerve.inference import likelihood
 from swerve.inference.scores import Scores
 
 NONE = 0.5  # P(no constraint) unless a prior is given
-ROUNDING = 1e-6  # by which a prior may miss 1
+ROUNDING = 1e-6  # probability by which the sum of a prior may differ from 1
 
 Prior = float | Sequence[float] | np.ndarray | None
 
 
 class Posterior(NamedTuple):
-    """How probable each answer is, with what sampling leaves open of that.
+    """How probable each answer is, with standard errors from sampling.
 
     Attributes:
-      none: probability that there is no constraint.
-      none_error: its standard error.
-      hypotheses: [H] probability of each.
-      error: [H] their standard errors.
+      none: probability of no constraint.
+      none_error: standard error of `none`.
+      hypotheses: [H] probability of each hypothesis.
+      error: [H] standard errors of `hypotheses`.
     """
 
     none: float
@@ -42,12 +43,12 @@ class Posterior(NamedTuple):
 
 
 class CredibleSet(NamedTuple):
-    """The fewest answers that together have a probability.
+    """The fewest answers whose probabilities sum to at least a given one.
 
     Attributes:
-      has_none: whether no constraint is among them.
-      hypotheses: those that are, most probable first.
-      probability: what they have together.
+      has_none: whether "no constraint" is one of the answers.
+      hypotheses: indices of the hypotheses among the answers, most probable first.
+      probability: sum of the probabilities of the answers.
     """
 
     has_none: bool
@@ -106,7 +107,7 @@ def posterior(log_likelihood: np.ndarray, prior: np.ndarray) -> np.ndarray:
       prior: [H + 1] as `checked_prior` returns it.
 
     Raises:
-      ValueError: if nothing that the prior allows is left.
+      ValueError: if every answer that the prior allows is ruled out.
     """
     with np.errstate(divide="ignore"):
         log_prior = np.log(prior)
@@ -129,7 +130,7 @@ def log_bayes_factor(log_likelihood: np.ndarray, prior: np.ndarray) -> float:
 
     Args:
       log_likelihood: [H] nats.
-      prior: [H + 1]; those of the hypotheses weigh them.
+      prior: [H + 1]; the hypotheses are weighed by their part of it.
     """
     if not prior[1:].any():
         return -np.inf
@@ -149,10 +150,10 @@ def jackknife_error(replicates: np.ndarray) -> np.ndarray:
 
 
 def credible_set(found: Posterior, least: float) -> CredibleSet:
-    """Return the fewest answers that together have at least a probability.
+    """Return the fewest answers whose probabilities sum to at least `least`.
 
     Args:
-      found: how probable they are.
+      found: how probable the answers are.
       least: more than 0 and less than 1.
 
     Raises:
@@ -202,13 +203,13 @@ def of_scores(scores: Scores) -> Posterior:
 
 
 def _propagated_error(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return the standard errors [H + 1] of a posterior by those of log-likelihoods, delta method.
+    """Return the standard errors [H + 1] of a posterior from log-likelihoods (delta method).
 
         d p_j / d log L_h = p_j (1[j = h] - p_h)
 
     Args:
       value: [H + 1] the posterior.
-      variance: [H] of the log-likelihoods, independent of one another.
+      variance: [H] variances of the log-likelihoods, which are independent.
     """
     own = np.concatenate([[0.0], variance])
     return value * np.sqrt(np.sum(value**2 * own) + own * (1.0 - 2.0 * value))

@@ -1,7 +1,7 @@
-"""What speaks against trusting an inference, in plain words.
+"""Say what speaks against trusting an inference, in plain words.
 
-A demonstration is held against nominal trajectories of its task, which it need not resemble but
-whose order of magnitude it shares: where they end, how long they last, how fast a state changes.
+A demonstration is compared with nominal trajectories of its task. It need not resemble them, but
+its end, its duration and its speed should be of the same order of magnitude.
 
 Shapes: n state dimensions.
 """
@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from swerve.base.phrases import some_names
+from swerve.base.solver_kinds import kind_stored
 from swerve.constraints.base import violates
 from swerve.demonstrations.checks import COARSE, FAST, JITTER, TIME_SLACK
 from swerve.demonstrations.demonstration import Demonstration
@@ -20,14 +21,13 @@ from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
 from swerve.trust import verdicts
 
-FAR_END = 0.05  # of the extent: within it of its goal a demonstration has arrived
-FACTOR = 2.0  # beyond nominal trajectories in where it ends
-FAST_SHARE = 0.9  # of a demonstration's steps may be slower: noise makes single steps fast
-TABLED = "Discrete("  # the solver that makes a table of continuous dynamics
+FAR_END = 0.05  # of a state's extent: a demonstration that ends nearer to its goal has arrived
+FACTOR = 2.0  # times the reach of nominal ends: beyond it an end is odd
+FAST_SHARE = 0.9  # quantile of the speeds of steps: noise makes single steps fast
 
 
 def warnings(inference: Ranking) -> tuple[str, ...]:
-    """Return what speaks against trusting the ranking; empty if nothing does."""
+    """Return warnings about the ranking; empty if there are none."""
     return (
         *_exhausted(inference),
         *_left_out(inference),
@@ -40,7 +40,7 @@ def warnings(inference: Ranking) -> tuple[str, ...]:
 
 
 def data_warnings(inference: Ranking) -> tuple[str, ...]:
-    """Return what speaks against samples and demonstrations, whatever they are used for."""
+    """Return warnings about samples and demonstrations, whatever they are used for."""
     return (*_of_samples(inference), *_doubts(inference))
 
 
@@ -50,7 +50,7 @@ def _of_samples(inference: Ranking) -> Iterator[str]:
 
 
 def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
-    """Return what is odd about a demonstration next to nominal trajectories, by kind."""
+    """Return what is odd about a demonstration beside nominal trajectories, by kind of doubt."""
     is_known = evidence.is_exact or not evidence.has_too_few[task]
     found = {
         "end": _odd_end(demonstration, evidence, task) if is_known else "",
@@ -100,9 +100,9 @@ def _odd_duration(demonstration: Demonstration, evidence: Evidence, task: int) -
 
 
 def _steps(demonstration: Demonstration, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far each state changes [L-1, n] from row to row, and in what time [L-1] s."""
+    """Return the change of each state from row to row [L-1, n] and its duration [L-1] s."""
     problem, states, times = evidence.problem, demonstration.states, demonstration.times
-    if times is None:  # as if it lasted as long as the model's episodes
+    if times is None:  # assume that it lasts as long as an episode of the model
         times = np.linspace(0.0, problem.num_steps * problem.dt, len(states))
     return np.abs(problem.space.difference(states[:-1], states[1:])), np.diff(times)
 
@@ -111,7 +111,7 @@ def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> s
     problem = evidence.problem
     horizon = problem.num_steps * problem.dt
     moved, elapsed = _steps(demonstration, evidence)
-    # sorted by hand: np.quantile loads another 30 ms of NumPy
+    # by sorting: np.quantile would load another 30 ms of NumPy
     speed = np.sort(moved / elapsed[:, None], axis=0)[int(FAST_SHARE * (len(moved) - 1))]
     nominal = np.maximum(evidence.summary.fastest[task], 1e-6 * problem.space.extent / horizon)
     worst = int((speed / nominal).argmax())
@@ -153,7 +153,7 @@ def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
 
 
 def _doubts(inference: Ranking) -> Iterator[str]:
-    """Yield each kind of doubt once, with the demonstrations that it is about."""
+    """Yield each kind of doubt once, with the names of its demonstrations."""
     found: dict[str, list[tuple[str, str]]] = {}
     for demonstration, task in zip(inference.demonstrations, inference.task_of, strict=True):
         for kind, text in doubts(demonstration, inference.evidence, int(task)).items():
@@ -162,12 +162,12 @@ def _doubts(inference: Ranking) -> Iterator[str]:
     for cases in found.values():
         name, text = cases[0]
         others = [other for other, _ in cases[1:]]
-        also = f" (so it is with {some_names(others)})" if others else ""
+        also = f" (the same holds for {some_names(others)})" if others else ""
         yield f"{name} {text}{also}"
 
 
 def _again(inference: Ranking) -> Iterator[str]:
-    """Yield which demonstrations are there more than once."""
+    """Yield a warning for demonstrations that were given more than once."""
     found: dict[tuple[bytes, ...], list[str]] = {}
     for item in inference.demonstrations:
         parts = (item.states, item.task.start, item.task.goal)
@@ -181,7 +181,7 @@ def _again(inference: Ranking) -> Iterator[str]:
 
 
 def _grazed(inference: Ranking) -> Iterator[str]:
-    """Yield that a margin speaks for the hypothesis that comes first."""
+    """Yield a warning where the first hypothesis profits from the margin."""
     problem = inference.evidence.problem
     if inference.judged is problem.hypotheses or not len(inference.ranking):
         return
@@ -216,18 +216,18 @@ def _exhausted(inference: Ranking) -> Iterator[str]:
 
 
 def _left_out(inference: Ranking) -> Iterator[str]:
-    """Yield of which hypotheses no demonstration tells, for being too near the ends of tasks."""
+    """Yield a warning about hypotheses that are too near the ends of all tasks."""
     num = np.count_nonzero(~inference.is_used.any(axis=0))
     if num:
         yield (
             f"of {num} of the {len(inference.struck_out)} hypotheses these demonstrations tell "
             "nothing, since each task starts or ends within the clearance of them, or grazes them: "
-            "they stay as probable as they were"
+            "their probability stays as it was"
         )
 
 
 def _impossible(inference: Ranking) -> Iterator[str]:
-    """Yield which hypotheses forbid everything."""
+    """Yield a warning about hypotheses that no trajectory of a task avoids."""
     found = np.flatnonzero(inference.impossible & ~inference.entered.any(axis=0))
     if len(found):
         names = some_names([f"hypothesis {index}" for index in found])
@@ -238,15 +238,15 @@ def _impossible(inference: Ranking) -> Iterator[str]:
 
 
 def _or_coarse(inference: Ranking) -> str:
-    """Return what else it may be where cells are judged at their centres."""
-    if not inference.evidence.solver.startswith(TABLED):
+    """Return the other possible cause where cells are judged at their centres."""
+    if not kind_stored(inference.evidence.solver).tabulates:
         return ""
     return "; or it starts near an edge, and cells are too wide: give it more num_cells"
 
 
 def _tabled(inference: Ranking) -> Iterator[str]:
-    """Yield that a table of continuous dynamics is not the dynamics."""
-    if inference.evidence.solver.startswith(TABLED):
+    """Yield a warning that a table of cells is not the continuous dynamics."""
+    if kind_stored(inference.evidence.solver).tabulates:
         yield (
             "answers are exact for a table of cells, not for the dynamics: how far off they are is "
             "not known. See whether they change with num_cells and hold"
@@ -254,7 +254,7 @@ def _tabled(inference: Ranking) -> Iterator[str]:
 
 
 def tolerable(inference: Ranking) -> str:
-    """Return with which tolerance something would be left where all is struck out."""
+    """Return the least tolerance that leaves a hypothesis, where all are struck out."""
     tolerance = inference.least_tolerance
     if tolerance is None:
         return "; no tolerance makes any of them more probable than no constraint"

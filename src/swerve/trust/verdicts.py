@@ -1,15 +1,15 @@
-"""How far the samples of each task can be trusted: warnings, and one plain verdict a task.
+"""Say how far the samples of each task can be trusted: warnings, and one verdict a task.
 
-Next to nothing may be left of the trajectories by weight; independent parts of them may disagree on
-log Z_0; the policy may be known to be far from pi_0, or the solver's own log Z_0 to differ. Else
-the ranking of the first few hypotheses may hang on sampling error: with the error that a difference
-of scores may have shared evenly among the K tasks in use, task k needs
+The effective sample size may be too small; independent parts of the samples may disagree on log
+Z_0; the policy may be far from pi_0; the solver's own log Z_0 may differ from that of its samples.
+Otherwise the order of the first hypotheses may rest on sampling error. If the error allowed for a
+difference of scores is shared evenly among the K tasks in use, task k needs
 
     N_k = N K (n_k e_k / gap)^2
 
-trajectories, n_k e_k being twice the sum of what its n_k demonstrations add to the standard errors
-of the two scores. What nothing here can see is a mode that no trajectory ever took: the weights of
-the others are flawless.
+trajectories, where n_k e_k is twice the sum of what its n_k demonstrations add to the standard
+errors of the two scores. No check here can see a mode of pi_0 that no trajectory ever took: the
+weights of the other trajectories look perfect.
 
 Shapes: K tasks.
 """
@@ -22,34 +22,29 @@ from collections.abc import Iterator
 import numpy as np
 
 from swerve.base.phrases import NUM_NAMES, some_names
+from swerve.base.solver_kinds import kind_stored, solver_names
 from swerve.evidence.estimators import LOW_ESS
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import RESAMPLED, TEMPERED
 from swerve.inference.ranking import TIE_ERRORS, Ranking
 
-HIGH_KL = {  # nats, between policy and pi_0
+HIGH_KL = {  # nats, KL between policy and pi_0 by method: above it errors may be understated
     "smc": math.inf,
     "tempered": math.inf,
     "importance": 0.5,
     "plain": 0.1,
 }
-HIGH_SPREAD = 1.0  # nats: standard deviation of log Z_0 between islands
-HOTTEST = 0.5  # of the beta drawn for: below it, weights of a Gaussian would have no variance
-VALUE_GAP = {  # nats, between a solver's log Z_0 and its samples'
-    "Grid(": 0.1,
-    "SoftValue(": 1.0,
-    "Distilled(": 2.0,
-}
-ADAPTING = ("Grid(", "SoftValue(")  # solvers that `resolve` can use
-NUM_ERRORS = 3.0  # standard errors on top
-GOOD_ESS_SHARE = 0.3  # above it the policy is not what is wrong
-NUM_SETTLED = 3  # first hypotheses whose order is to be told
-MOST_SAMPLES = 10_000_000  # beyond, sampling will not tell
-FAR_BEHIND = 7.0  # nats, errors taken off: a thousand times less likely than the first
+HIGH_SPREAD = 1.0  # nats, standard deviation of log Z_0 over islands: above it they disagree
+HOTTEST = 0.5  # of the beta sampled for: below it weights of a Gaussian have infinite variance
+NUM_ERRORS = 3.0  # standard errors by which log Z_0 of solver and samples may differ
+GOOD_ESS_SHARE = 0.3  # of N: above it the policy is good, and there are too few samples
+NUM_SETTLED = 3  # first hypotheses whose order has to be settled
+MOST_SAMPLES = 10_000_000  # trajectories a task: more are never suggested
+FAR_BEHIND = 7.0  # nats behind the first, less errors: a thousand times less likely, order is moot
 
 
 def warnings(inference: Ranking) -> Iterator[str]:
-    """Yield what speaks against the samples, each kind once."""
+    """Yield warnings about the samples, each kind once."""
     yield from _too_few(inference)
     yield from _apart(inference)
     yield from _too_hot(inference)
@@ -58,7 +53,7 @@ def warnings(inference: Ranking) -> Iterator[str]:
 
 
 def verdict(inference: Ranking, task: int) -> str:
-    """Return how far the samples of a task can be trusted, in a few words."""
+    """Return how far the samples of a task can be trusted, for example 'settled'."""
     evidence = inference.evidence
     if evidence.is_exact:
         return "exact"
@@ -88,7 +83,7 @@ def verdict(inference: Ranking, task: int) -> str:
 
 
 def summary(inference: Ranking) -> str:
-    """Return the verdicts of all tasks that are used, in a few lines."""
+    """Return the verdicts of all tasks in use, in a few lines."""
     tasks = np.flatnonzero(inference.task_counts).tolist()
     texts = {task: verdict(inference, task) for task in tasks}
     others = [task for task in tasks if texts[task] not in ("settled", "exact")]
@@ -104,10 +99,10 @@ def summary(inference: Ranking) -> str:
 
 
 def _samples_needed(inference: Ranking, task: int) -> np.ndarray:
-    """Return N_k of the module's formula for each gap between the first few.
+    """Return N_k of the module's formula for each gap between the first hypotheses.
 
-    Infinite where a score hangs on a number that more samples do not change. Hypotheses that
-    explain nothing, as far as can be told, need no order, nor do those far behind the first.
+    Infinite where a score rests on a number that more samples do not change. 0 for hypotheses that
+    explain nothing within the errors, and for those far behind the first: they need no order.
     """
     first = inference.ranking[: NUM_SETTLED + 1]
     evidence, num_tasks = inference.evidence, np.count_nonzero(inference.task_counts)
@@ -131,54 +126,55 @@ def _round_up(number: float) -> int:
 
 
 def is_untrusted(inference: Ranking) -> bool:
-    """Return whether the samples of a task that is used are not to be trusted at all."""
+    """Return whether the samples of a task in use are not to be trusted at all."""
     if inference.evidence.is_exact:
         return False
     return bool((_has_too_few(inference) | _is_apart(inference)).any())
 
 
 def is_too_hot(evidence: Evidence) -> bool:
-    """Return whether beta is so far below the one drawn for that weights cannot be believed.
+    """Return whether beta is too far below the beta sampled for to believe the weights.
 
-    What is common at a low beta may be too rare at a high one to be drawn at all, which leaves no
-    trace in the effective sample size.
+    Trajectories that are common at a low beta may be too rare at a high one to be sampled at all.
+    The effective sample size does not show that.
     """
     return evidence.problem.beta < HOTTEST * evidence.sampling_beta
 
 
 def _has_too_few(inference: Ranking) -> np.ndarray:
-    """Return [K] whether a task that is used has too few effective samples."""
+    """Return [K] True where a task in use has too small an effective sample size."""
     return inference.evidence.has_too_few & (inference.task_counts > 0)
 
 
 def _is_apart(inference: Ranking) -> np.ndarray:
-    """Return [K] whether independent parts of a task's samples disagree on log Z_0."""
+    """Return [K] True where independent parts of the samples disagree on log Z_0."""
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     return used & (inference.evidence.island_spread > HIGH_SPREAD)
 
 
 def _is_far(inference: Ranking) -> np.ndarray:
-    """Return [K] whether the policy of a task is too far from pi_0."""
+    """Return [K] True where the policy of a task is too far from pi_0."""
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     return used & (inference.evidence.kl > HIGH_KL[inference.evidence.method])
 
 
 def _value_gap(inference: Ranking) -> np.ndarray:
-    """Return [K] by how much more the solver's log Z_0 and its samples' differ than they may.
+    """Return [K] the unexplained gap between log Z_0 of the solver and of its samples, nats.
 
-    Weights account for -log(ESS / N): where that share of trajectories survives a wall, say. For
-    resampled trajectories of a grid they do not: there ESS is about ancestors. 0 for tasks that are
-    not used, and where the solver has no value.
+    Importance weights explain a gap of -log(ESS / N): for example where only that share of the
+    trajectories survives a wall. For resampled trajectories of a grid they do not: their ESS counts
+    ancestors. The gap is 0 for tasks not in use, and where the solver has no soft value.
     """
     evidence = inference.evidence
+    kind = kind_stored(evidence.solver)
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     share = evidence.effective_sample_size / evidence.num_trajectories
     error = np.sqrt(np.maximum(1.0 / share - 1.0, 0.0) / evidence.num_trajectories)  # of log Z_0
-    if evidence.method in RESAMPLED and evidence.solver.startswith("Grid("):
+    if evidence.method in RESAMPLED and kind.computes_value:
         share, error = np.ones_like(share), evidence.log_partition_error
     explained = NUM_ERRORS * error - np.log(share)
-    allowed = [value for solver, value in VALUE_GAP.items() if evidence.solver.startswith(solver)]
-    gap = np.abs(evidence.soft_value - evidence.log_partition) - explained - max(allowed, default=0)
+    allowed = kind.value_gap or 0.0
+    gap = np.abs(evidence.soft_value - evidence.log_partition) - explained - allowed
     return np.where(used & (gap > 0.0), gap, 0.0)
 
 
@@ -209,19 +205,19 @@ def _apart(inference: Ranking) -> Iterator[str]:
 def _too_hot(inference: Ranking) -> Iterator[str]:
     if is_too_hot(inference.evidence):
         yield (
-            "errors may be larger than stated: what is common at a beta less than half of that "
-            f"drawn for may be missing from the samples. {_remedy(inference.evidence)}"
+            "errors may be larger than stated: trajectories common at a beta below half of the one "
+            f"sampled for may be missing from the samples. {_remedy(inference.evidence)}"
         )
 
 
 def _far_policy(inference: Ranking) -> Iterator[str]:
-    """Yield that standard errors say nothing of what a policy far from pi_0 hardly ever does."""
+    """Yield a warning where the policy is so far from pi_0 that errors may be understated."""
     evidence, far = inference.evidence, _is_far(inference)
     if far.any():
         worst = int(np.where(far, evidence.kl, 0.0).argmax())
-        cause = "what it hardly ever does may be missing from them"
+        cause = "trajectories that it hardly ever takes may be missing"
         if evidence.method == "plain":
-            cause = "plain weights take it for pi_0: use importance weights"
+            cause = "plain weights assume that it is pi_0: use importance weights"
         yield (
             f"errors may be larger than stated: for {far.sum()} of "
             f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
@@ -231,7 +227,7 @@ def _far_policy(inference: Ranking) -> Iterator[str]:
 
 
 def _wrong_value(inference: Ranking) -> Iterator[str]:
-    """Yield that the solver's own log Z_0 is not what its samples say."""
+    """Yield a warning where log Z_0 of the solver and of its samples differ."""
     evidence, gap = inference.evidence, _value_gap(inference)
     if gap.any():
         worst = int(gap.argmax())
@@ -250,22 +246,28 @@ def _at_its_beta(evidence: Evidence) -> str:
 
 
 def _remedy(evidence: Evidence, share: float = 0.0) -> str:
-    """Return what to do about an effective sample size that is this share of N."""
+    """Return what to do about samples that cannot be trusted.
+
+    Args:
+      evidence: with the samples.
+      share: effective sample size over N.
+    """
     if evidence.is_of_other_beta:
         return (
-            f"The trajectories were drawn for beta {evidence.sampling_beta:g}, and are weighed for "
+            f"The trajectories were sampled for beta {evidence.sampling_beta:g}, and weighed for "
             f"{evidence.problem.beta:g}: {_at_its_beta(evidence)}"
         )
     if evidence.method == TEMPERED:
         return (
-            "Tempering has left too few: draw more trajectories, or learn at a beta nearer to "
+            "Tempering has left too few: sample more trajectories, or learn at a beta nearer to "
             f"{evidence.problem.beta:g}"
         )
     if share > GOOD_ESS_SHARE:
         return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
-    if evidence.solver.startswith("Grid("):
-        text = "The grid is too coarse for this problem: give it more num_points"
-        other = ", or take method 'importance', which does without values on the way"
+    kind = kind_stored(evidence.solver)
+    if kind.computes_value:
+        text = f"The grid is too coarse for this problem: give it more {kind.finer}"
+        other = ", or take method 'importance', which needs no soft value on the way"
         return text + other * (evidence.method == "smc")
     return (
         "The policy is far from pi_0 here: train it longer (num_steps), or use the grid solver "
@@ -277,11 +279,11 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
 
 
 def hardly_avoided(inference: Ranking) -> Iterator[str]:
-    """Yield what scores hang on where next to no nominal trajectory avoids a hypothesis."""
+    """Yield warnings about hypotheses that hardly any nominal trajectory avoids."""
     evidence, ranking = inference.evidence, inference.ranking
     used = ((inference.task_counts > 0) & ~_has_too_few(inference))[:, None]
     floored = evidence.is_floored & used
-    in_vain = np.isposinf(evidence.summary.log_ratio_error) & used  # `resolve` did not settle them
+    in_vain = np.isposinf(evidence.summary.log_ratio_error) & used  # `resolve` failed
     bounds = ranking[floored[:, ranking].any(axis=0)]
     if len(bounds):
         resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
@@ -290,13 +292,14 @@ def hardly_avoided(inference: Ranking) -> Iterator[str]:
             "of a task enters it, and for each demonstration of such a task the samples tell no "
             f"more than about {-math.log(resolution.min()):.1f} nats"
         )
-        if not evidence.solver.startswith(ADAPTING):
-            text += ". With the solvers grid and soft-value more can be worked out"
+        if not kind_stored(evidence.solver).adapts:
+            names = " and ".join(solver_names(lambda kind: kind.adapts))
+            text += f". The solvers {names} can tell more"
         yield text + _in_vain(evidence) * bool((floored & in_vain).any())
     few = ranking[(in_vain & ~floored)[:, ranking].any(axis=0)]
     if len(few):
         yield (
-            f"the score of {_names(few)} hangs on the two or three nominal trajectories of a task "
+            f"the score of {_names(few)} rests on the two or three nominal trajectories of a task "
             "that avoid it: its error may be larger than stated"
         ) + _in_vain(evidence)
 
@@ -306,9 +309,9 @@ def _names(hypotheses: np.ndarray) -> str:
 
 
 def _in_vain(evidence: Evidence) -> str:
-    """Return what to say where `swerve.resolve` has tried to put numbers to scores."""
-    finer = "more num_points" if evidence.solver.startswith("Grid(") else "more num_steps"
+    """Return the text for ratios that `swerve.resolve` tried and could not settle."""
+    finer = kind_stored(evidence.solver).finer
     return (
-        ". Working out what it takes to avoid it did not settle: sample more trajectories, give "
-        f"the solver {finer}, or see whether anything the robot can do avoids it"
+        ". Sampling with it in force did not settle the score: sample more trajectories, give "
+        f"the solver more {finer}, or see whether anything the robot can do avoids it"
     )
