@@ -16,7 +16,7 @@ from decimal import Decimal
 from types import SimpleNamespace
 from typing import Any, get_args, get_type_hints
 
-# 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may well be texts
+# matches 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may be texts
 PLAIN_NUMBER = re.compile(
     r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE
 )
@@ -55,11 +55,11 @@ class Specification:
 def build(function: Callable[..., Any], specification: Specification, text: str) -> Any:
     """Call a function or class with a specification's parameters, converted to its types.
 
-    A parameter whose annotation is missing, or names something that exists for type checkers
-    alone, has the type of its default, or else is a text.
+    A parameter has the type of its default where its annotation is missing or exists for type
+    checkers alone; without a default it is a text.
 
     Raises:
-      ValueError: if it takes no such parameter, or a value is not of its type.
+      ValueError: if the function has no such parameter, or a value is not of the parameter's type.
     """
     known = inspect.signature(function).parameters
     arguments = {}
@@ -85,7 +85,7 @@ def build(function: Callable[..., Any], specification: Specification, text: str)
 
 
 def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
-    """Convert a text to the type of a parameter; of several, the first that fits."""
+    """Convert a text to the type of a parameter; of several types, to the first that fits."""
     hint, remark = _annotation(function, parameter), ""
     options = (hint,) if hint in list(_CONVERSIONS) else get_args(hint)
     kinds = [kind for kind in options if kind in list(_CONVERSIONS)]
@@ -106,10 +106,10 @@ def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parame
 
 
 def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
-    """Return a parameter's annotation, or None where there is none or it cannot be resolved.
+    """Return a parameter's annotation; None if it is missing or cannot be resolved.
 
-    Each is resolved on its own: one that names what is imported for type checkers alone leaves the
-    others as they are.
+    Annotations are resolved one by one: one that names an import for type checkers alone does not
+    spoil the others.
     """
     if parameter.annotation is parameter.empty:
         return None
@@ -123,7 +123,7 @@ def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> A
 
 
 def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
-    """Return where the names in a signature may be defined; a class inherits its bases' fields."""
+    """Return the namespaces of a signature's names: of a class those of all its bases."""
     if isinstance(function, type):
         return [vars(sys.modules.get(base.__module__, builtins)) for base in function.__mro__]
     inner = getattr(function, "func", function)  # of functools.partial
@@ -131,7 +131,7 @@ def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
 
 
 def _ints(value: str) -> tuple[int, ...]:
-    """Return several numbers; a single one is no tuple."""
+    """Return several numbers; a single number is no tuple."""
     if "," not in value:
         raise ValueError
     return tuple(_int(part) for part in value.split(","))

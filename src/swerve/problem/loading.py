@@ -1,7 +1,8 @@
-"""Texts that name a thing and its parameters: "pendulum?max_torque=10", "robot.py:problem".
+"""Load the problem that a text names, such as "pendulum?max_torque=10" or "robot.py:problem".
 
-A specification is a target and parameters, `target?name=value&name=value`. Parameters are
-converted to the types that the target's signature gives them, by annotations or else by defaults.
+The text is a specification (see `base.specification`) whose target is a shipped name, a file or a
+module. The source files that a problem may have come from are hashed, so that a stored result can
+tell that they have changed without running them.
 """
 
 from __future__ import annotations
@@ -28,16 +29,17 @@ SHIPPED = {
     "pendulum": "swerve.systems.pendulum:pendulum",
     "gridworld": "swerve.systems.gridworld:gridworld",
 }
-_SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hashes of the files of modules
+_SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hash of each module's file
 
 
 def canonical_problem(text: str) -> str:
-    """Return a text that is the same only for ways to write the same problem specification.
+    """Return the canonical text of a problem specification: two texts of one problem agree.
 
-    Files are made absolute, modules get their folder, parameters are sorted, and plain numbers
-    written one way: 10, 10.0 and 1e1. No code is loaded, so which parameters are numbers is not
-    known: what is more likely a text, or has more digits than a float (007, 1.10, 1_000), stays as
-    it is. Taking one problem for two costs a message; taking two for one would be a wrong answer.
+    Paths of files become absolute, modules get their folder, parameters are sorted, and plain
+    numbers are written in one way: 10, 10.0 and 1e1 are the same. No code is loaded, so it is not
+    known which parameters are numbers: a value that is more likely a text, or has more digits than
+    a float (007, 1.10, 1_000), stays as it is. Taking one problem for two costs a message; taking
+    two problems for one would give a wrong answer.
     """
     specification = Specification.parse(text)
     path, colon, name = specification.target.rpartition(":")
@@ -48,11 +50,11 @@ def canonical_problem(text: str) -> str:
 
 
 def _place(module: str) -> str:
-    """Return where a module that is not installed would be imported from, ' in FOLDER'."""
+    """Return ' in FOLDER' for a module that is not installed, empty for an installed one."""
     _search_here()
     try:
         found = importlib.util.find_spec(module.partition(".")[0])
-    except ValueError:  # of what no file made
+    except ValueError:  # a module that was not made from a file
         return ""
     places = [found.origin, *(found.submodule_search_locations or ())] if found else []
     files = [Path(place) for place in places if place]
@@ -67,7 +69,7 @@ def load_problem(text: str) -> Any:
         parameters after "?" where the name is a function that returns a Problem.
 
     Raises:
-      ValueError: if it names nothing, or something that is no Problem.
+      ValueError: if the text names nothing, or something that is no Problem.
     """
     from swerve.problem.problem import Problem
 
@@ -93,21 +95,21 @@ def load_problem(text: str) -> Any:
         )
     if not isinstance(found, Problem):
         raise ValueError(f"{text!r}: expected a swerve.Problem, got {type(found).__name__}")
-    source_hashes(found)  # while the files are still those that were imported
+    source_hashes(found)  # now, while the files are still those that were imported
     return found
 
 
 def source_hashes(problem: Any) -> dict[str, str]:
     """Return the hash of every source file that a problem may have come from.
 
-    These are the `.py` files, none of them installed or of the standard library, of
+    Hashed are the `.py` files, except installed ones and the standard library, of
 
-    - all modules that are imported at this moment, whether or not the problem uses them, except
-      Swerve's own and the script that Python was started with;
-    - the modules that define the classes of the MDP, also if they are that script or Swerve's.
+    - all modules that are imported now, whether or not the problem uses them, except Swerve's own
+      and the script that Python was started with;
+    - the modules that define the classes of the MDP, even if they are that script or Swerve's.
 
-    Data files, compiled modules and what is imported later are not among them. A module that has
-    been seen before has the hash of its file then, since that is the code that runs.
+    Data files, compiled modules and modules imported later are left out. A module that was hashed
+    before keeps its first hash, since the code of that time is the code that runs.
     """
     modules = {name: sys.modules[name] for name in _user_modules()}
     for base in type(problem.mdp).__mro__:
@@ -157,8 +159,8 @@ def _load_file(path: Path) -> ModuleType:
         raise ValueError(f"{path}: no such file")
     path = path.resolve()
     _check_neighbours(path)
-    sys.path.insert(0, str(path.parent))  # so that it can import its neighbours
-    # never the name of an installed module, nor of a file of this name in another folder
+    sys.path.insert(0, str(path.parent))  # so that the file can import its neighbours
+    # a name that neither an installed module nor a file of this name in another folder can have
     name = f"swerve_problem_{path.stem}_{hashlib.sha256(bytes(path)).hexdigest()[:8]}"
     specification = importlib.util.spec_from_file_location(name, path)
     assert specification is not None
@@ -176,9 +178,9 @@ def _load_file(path: Path) -> ModuleType:
 
 @contextmanager
 def _user_code() -> Iterator[None]:
-    """Turn whatever a user's code raises into a ValueError that says on which line of which file.
+    """Turn any error in a user's code into a ValueError that names the file and the line.
 
-    What does not come from a line of theirs is left as it is.
+    An error that no line of a user's file took part in is left as it is.
     """
     try:
         yield
@@ -199,10 +201,10 @@ def _user_code() -> Iterator[None]:
 
 
 def _check_neighbours(path: Path) -> None:
-    """Raise ValueError where a file would get another folder's module in place of its neighbour.
+    """Raise ValueError where a file would import another folder's module for its neighbour.
 
-    Python keeps one module of a name. To put the neighbour in its place would only turn the mistake
-    round, since functions of the file loaded first may import it as late as when they are called.
+    Python keeps one module of each name. To replace it by the neighbour would only turn the mistake
+    round: functions of the file that was loaded first may import the name when they are called.
     """
     for name, loaded in _user_modules().items():
         stem = path.parent.joinpath(*name.split("."))

@@ -1,11 +1,11 @@
-"""Deterministic Markov decision processes with a goal, the model that every solver works on.
+"""Define deterministic Markov decision processes with a goal: the model that all solvers work on.
 
 A trajectory xi = (s_0, a_0, s_1, ..., s_L) follows s_{t+1} = f(s_t, a_t) for at most T steps of dt
 seconds and earns
 
     R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L),
 
-r_T being paid where the episode ends, at t = T or earlier where `terminated` says so.
+where r_T is paid at the end of the episode: at t = T, or earlier where `terminated` is true.
 
 Shapes: n state dimensions, m action dimensions, A actions, T steps, g goal dimensions,
 F features. All methods work on one state; solvers map them over batches.
@@ -27,22 +27,22 @@ from swerve.base.space import StateSpace, Task
 
 
 class _StateNames:
-    """What `goal_names` is unless overridden: the names of the states.
+    """The default of `goal_names`: the names of the states.
 
-    No property, which would have fields of subclasses fail: it has no default to offer them, and
-    what an instance holds goes first.
+    A property would not do: it takes precedence over a field of the same name in a subclass. This
+    descriptor gives way to the instance's own value, and offers no default to the field.
     """
 
     def __get__(self, mdp: Any, owner: type) -> tuple[str, ...]:
         if mdp is None:
-            raise AttributeError(f"{owner.__name__}.goal_names is known of an instance alone")
+            raise AttributeError(f"{owner.__name__}.goal_names needs an instance")
         return mdp.state_names
 
 
 class MDP(eqx.Module):
-    """What a demonstrator can do and wants; subclass it for your own system.
+    """A demonstrator's possible actions and its reward; subclass it for your own system.
 
-    A subclass sets the attributes, as class attributes, fields or properties, and writes
+    A subclass sets the attributes, as class attributes, fields or properties, and defines
     `dynamics` and `reward`; the other methods have defaults.
 
     Attributes:
@@ -51,12 +51,12 @@ class MDP(eqx.Module):
       actions: [A, m] the actions to choose from.
       dt: duration of a step [s].
       num_steps: T, the horizon.
-      bounds: [n, 2] where states are expected; grids, checks and random states use it.
-      angles: those of the states that wrap at 2 pi [rad]; none unless set.
-      goal_names: the g names of the goal's components; those of the states unless set.
+      bounds: [n, 2] where states are expected; grids, checks and random states use the bounds.
+      angles: names of the states that wrap at 2 pi [rad]; none unless set.
+      goal_names: the g names of the goal's components; the names of the states unless set.
     """
 
-    if TYPE_CHECKING:  # for a type checker: anything that provides the value will do
+    if TYPE_CHECKING:  # a type checker accepts any way in which a subclass provides the value
         state_names: Any = eqx.field(init=False)
         action_names: Any = eqx.field(init=False)
         actions: Any = eqx.field(init=False)
@@ -106,10 +106,10 @@ class MDP(eqx.Module):
     def features(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, " F"]:
-        """Return what a network sees of a state, the step t and the goal, about unit scale.
+        """Return a network's inputs for a state, the step t and the goal, about unit scale.
 
-        The default: states and their differences to the goal in units of half the bounds' extent
-        (angles as sine and cosine), the goal itself, and the time to go.
+        By default, these are the state and its difference to the goal in units of half the bounds'
+        extent (angles as sine and cosine), the goal itself, and the time to go.
         """
         space = self.space
         centre, half = space.bounds.mean(axis=1), 0.5 * space.extent
@@ -123,7 +123,7 @@ class MDP(eqx.Module):
         return jnp.concatenate(parts)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
-        """Draw a task to be ready for; by default start and goal uniform within the bounds."""
+        """Sample a task to be ready for; by default start and goal are uniform in the bounds."""
         if self.goal_names != self.state_names:
             raise ValueError(
                 f"{type(self).__name__} has goals {self.goal_names} that are not states: "
@@ -133,7 +133,7 @@ class MDP(eqx.Module):
         return Task(MDP.sample_state(self, key_start), MDP.sample_state(self, key_goal))
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, " n"]:
-        """Draw a state worth knowing, for exploring starts; by default uniform in the bounds."""
+        """Sample a state, for training to start from; by default uniform in the bounds."""
         bounds = self.space.bounds
         return jax.random.uniform(
             key, (len(bounds),), minval=jnp.asarray(bounds[:, 0]), maxval=jnp.asarray(bounds[:, 1])
@@ -165,7 +165,7 @@ def check_mdp(mdp: MDP) -> None:
     """Check shapes and values of an MDP by trying its methods on one state.
 
     Raises:
-      ValueError: naming the attribute or method, what was expected and what came.
+      ValueError: with the attribute or method, the expected and the actual value.
     """
     name = type(mdp).__name__
     for label in ("state_names", "action_names", "angles", "goal_names"):
@@ -207,7 +207,7 @@ def check_mdp(mdp: MDP) -> None:
 def _check_method(
     label: str, method: Callable[..., Any], arguments: tuple[Array, ...], shape: tuple, kind: type
 ) -> None:
-    """Try a method of an MDP, as it is and under JAX, and check what it returns."""
+    """Call a method of an MDP, with and without tracing by JAX, and check the value it returns."""
     try:
         jax.eval_shape(method, *arguments)
         value = jnp.asarray(method(*arguments))

@@ -28,22 +28,22 @@ from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.problem.mdp import MDP, check_mdp
 from swerve.problem.record import MEASURES, ProblemRecord, digest
 
-OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # a file that is moved is the same problem
+OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # module of a user's file, with a hash of its path
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An MDP, what is hypothesised, and what is assumed of the demonstrator.
+    """An MDP, hypothesised constraints, and what is assumed of the demonstrator.
 
     Attributes:
       mdp: dynamics, reward, actions, horizon.
-      hypotheses: the constraints among which to look, from `grid` or a list of them.
+      hypotheses: the constraints to choose from, made by `grid` or `windows`, or a list of them.
       beta: inverse temperature of the demonstrator, nats per unit of reward.
       measure: base measure of trajectories, "uniform" (A^-length) or "counting" (1).
-      known: constraints known to hold, which the nominal distribution obeys too.
+      known: constraints that are known to hold; the nominal distribution obeys them too.
       between_states: whether crossing a constraint between two states counts as entering it;
-        False judges the states alone, as the paper does. None is True, and False for a tabular MDP,
-        between whose states there is nothing.
+        False judges the states alone, as the paper does. None means True, but False for a tabular
+        MDP, which has no states between its states.
     """
 
     mdp: MDP
@@ -53,7 +53,7 @@ class Problem:
     known: Sequence[Constraint] = ()
     between_states: bool = None  # pyright: ignore[reportAssignmentType]  # set below
 
-    if TYPE_CHECKING:  # a list is made into a set
+    if TYPE_CHECKING:  # a list of constraints is accepted, and made into a HypothesisSet
 
         def __init__(
             self,
@@ -106,7 +106,7 @@ class Problem:
 
 
 def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
-    """Raise ValueError where a hypothesis forbids none of the actions: it could never be told."""
+    """Raise ValueError where a hypothesis forbids none of the actions: no data could tell it."""
     if not hypotheses.about_actions:
         return
     table = np.asarray(mdp.actions)
@@ -137,12 +137,12 @@ def _mdp_name(mdp: MDP) -> str:
 
 
 def _mdp_digest(mdp: MDP) -> str:
-    """Hash an MDP's class, its parameters and everything that `MDP` says of it as data."""
+    """Hash an MDP's class, its parameters, its arrays and its actions."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(mdp)
     module = re.sub(OF_A_FILE, r"\1", type(mdp).__module__)
     parts = [f"{module}.{type(mdp).__qualname__}", _mdp_name(mdp)]
     for path, leaf in leaves:
-        if callable(leaf):  # its bytes would be an address
+        if callable(leaf):  # its bytes would be an address in memory
             parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
             continue
         array = np.asarray(leaf)
@@ -154,7 +154,7 @@ def _mdp_digest(mdp: MDP) -> str:
 
 
 def _static_fields(module: Any, path: str) -> list[str]:
-    """Return the static fields of a module and the modules in it, which are no leaves."""
+    """Return the static fields of a module and of the modules in it: JAX has them in no leaf."""
     parts = []
     for field in dataclasses.fields(module):
         value, where = getattr(module, field.name), f"{path}.{field.name}"

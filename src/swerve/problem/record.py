@@ -5,7 +5,7 @@ The nominal distribution of the problem is
     pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0
 
 over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
-m = A^-length ("uniform"). A record says all of this but how to run the dynamics, so that inference
+m = A^-length ("uniform"). A record holds all of it but how to run the dynamics, so that inference
 needs neither JAX nor user code.
 """
 
@@ -30,10 +30,10 @@ MEASURES = ("uniform", "counting")
 
 @dataclass(frozen=True, eq=False)
 class ProblemRecord:
-    """Everything about a problem except how to run its dynamics.
+    """A problem as plain data: all of it but how to run the dynamics.
 
     Attributes:
-      name: the MDP and its parameters, for people.
+      name: the MDP and its parameters, for people to read.
       goal_is_last_state: whether `MDP.goal_of` is the default one.
       mdp_digest: hash of the MDP's class name, parameters and actions.
       transitions: of a tabular MDP; None for others.
@@ -58,17 +58,17 @@ class ProblemRecord:
 
     @property
     def needs_code(self) -> bool:
-        """Whether judging a demonstration needs functions that no file can hold."""
+        """Whether judging a demonstration needs user functions, which no file can hold."""
         return self.hypotheses.needs_code or any(c.needs_code for c in self.known)
 
     @property
     def fingerprint(self) -> str:
-        """A hash that differs between problems: of the model, hypotheses, and all settings."""
+        """A hash of the model, the hypotheses and all settings."""
         return digest(json.dumps(self.to_json()))  # unsorted: the order of a grid's axes counts
 
     @property
     def summary(self) -> str:
-        """One line for people: the model and the settings that results depend on."""
+        """The model and the settings that results depend on, in one line for people."""
         known = f", known: {'; '.join(c.name for c in self.known)}" if self.known else ""
         judged = "states and segments between them" if self.between_states else "states alone"
         return (

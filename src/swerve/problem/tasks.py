@@ -1,7 +1,7 @@
-"""Tasks that can be begun: drawn from the MDP, or given and checked.
+"""Sample or check tasks that can be begun.
 
-A task is a start state, outside the known constraints and where the episode is not over already,
-and a goal.
+A task is a start state and a goal. A task can be begun if its start lies outside the known
+constraints and the episode does not end there at once.
 
 Shapes: K tasks, n state dimensions, g goal dimensions.
 """
@@ -21,7 +21,7 @@ from swerve.constraints.base import Constraint
 from swerve.demonstrations.checks import check_bounds
 from swerve.problem.problem import Problem
 
-NUM_DRAWN = 20  # candidates for each task that is asked for
+NUM_CANDIDATES = 20  # tasks sampled for each task asked for: some start in a constraint
 
 
 def can_begin(
@@ -37,25 +37,25 @@ def can_begin(
 def draw_tasks(
     problem: Problem, num_tasks: int, *, avoid: Sequence[Constraint] = (), seed: int = 0
 ) -> Task:
-    """Draw tasks from the MDP that start, and where goals are states end, outside constraints.
+    """Sample tasks of the MDP whose starts, and goals that are states, lie outside constraints.
 
     Args:
-      problem: whose MDP draws them; its known constraints are avoided.
+      problem: whose MDP samples the tasks; its known constraints are avoided.
       num_tasks: K.
       avoid: further constraints to stay out of.
-      seed: of the drawing.
+      seed: of the sampling.
 
     Returns:
       Starts [K, n] and goals [K, g].
 
     Raises:
-      ValueError: if the MDP draws too few such tasks.
+      ValueError: if the MDP samples too few such tasks.
     """
     mdp, forbidden = problem.mdp, (*problem.known, *avoid)
-    keys = jax.random.split(jax.random.key(seed), NUM_DRAWN * (num_tasks + 5))
-    drawn = jax.vmap(mdp.sample_task)(keys)
-    allowed = np.array(jax.vmap(lambda start, goal: can_begin(problem, start, goal))(*drawn))
-    start, goal = np.asarray(drawn.start, np.float64), np.asarray(drawn.goal, np.float64)
+    keys = jax.random.split(jax.random.key(seed), NUM_CANDIDATES * (num_tasks + 5))
+    candidates = jax.vmap(mdp.sample_task)(keys)
+    allowed = np.array(jax.vmap(lambda start, goal: can_begin(problem, start, goal))(*candidates))
+    start, goal = np.asarray(candidates.start, np.float64), np.asarray(candidates.goal, np.float64)
     for constraint in forbidden:
         allowed &= ~constraint.contains(start, mdp.space)
         if mdp.goal_names == mdp.state_names:
@@ -63,7 +63,7 @@ def draw_tasks(
     chosen = np.flatnonzero(allowed)[:num_tasks]
     if len(chosen) < num_tasks:
         raise ValueError(
-            f"only {len(chosen)} of {len(start)} tasks drawn from {type(mdp).__name__} start and "
+            f"only {len(chosen)} of {len(start)} tasks sampled from {type(mdp).__name__} start and "
             f"end outside {'; '.join(c.name for c in forbidden) or 'where episodes are over'}, "
             f"{num_tasks} were asked for: give tasks of your own"
         )
@@ -79,14 +79,15 @@ def named_tasks(
     """Return tasks to be done without entering a constraint, as one batch, and their names.
 
     Args:
-      problem: what they are of.
-      constraint: to be kept out of.
+      problem: of the tasks.
+      constraint: not to be entered.
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
       names: of the demonstrations; demo_000 and so on if None.
 
     Raises:
       ValueError: if an argument is of the wrong kind, the constraint does not fit the MDP, a task
-        does not fit the problem or starts inside the constraint, or there are not as many names.
+        does not fit the problem or starts inside the constraint, or the numbers of names and tasks
+        differ.
     """
     instance(problem, Problem, "problem", "make one with swerve.Problem")
     instance(constraint, Constraint, "constraint", "take one of problem.hypotheses.constraint(k)")
@@ -99,7 +100,7 @@ def named_tasks(
     for k in np.flatnonzero(constraint.contains(batch.start, problem.mdp.space)):
         raise ValueError(
             f"{labels[k]}: task {k} starts at {batch.start[k].tolist()}, inside {constraint.name}, "
-            "which its demonstration is to keep out of: choose another start"
+            "which its demonstration must not enter: choose another start"
         )
     return batch, labels
 
@@ -108,8 +109,8 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
     """Return tasks as one batch, starts [K, n] and goals [K, g], float64.
 
     Raises:
-      ValueError: if shapes are wrong, numbers not finite, a start or goal lies outside the bounds,
-        or a start where no trajectory can begin.
+      ValueError: if shapes are wrong, numbers are not finite, a start or goal lies outside the
+        bounds, or no trajectory can begin at a start.
     """
     mdp = problem.mdp
     if not isinstance(tasks, Iterable):
@@ -147,7 +148,7 @@ def checked_task(problem: Problem, task: Task) -> Task:
     """Return a single task, start [n] and goal [g], float64.
 
     Raises:
-      ValueError: as `checked_tasks`, or if there are several.
+      ValueError: as `checked_tasks`, or if there are several tasks.
     """
     start, goal = checked_tasks(problem, task)
     if len(start) != 1:
