@@ -77,7 +77,7 @@ MUTANTS = (
         "evidence/samples.py",
         "beta=problem.beta,",
         "beta=problem.beta**2,",
-        "evidence/test_evidence",
+        "evidence/test_samples",
     ),
     Mutant(
         "ignore early termination",
@@ -158,7 +158,7 @@ MUTANTS = (
     ),
     Mutant(
         "believe a lone trajectory that avoids what all others enter",
-        "inference/ranking.py",
+        "inference/scores.py",
         "is_open = evidence.standard_error > FEW_AVOID",
         "is_open = evidence.is_floored",
         "sampling/test_resolve -k lone",
@@ -221,14 +221,14 @@ MUTANTS = (
     ),
     Mutant(
         "strike a hypothesis out only when every demonstration enters it",
-        "inference/ranking.py",
+        "inference/scores.py",
         "return np.asarray((self.counts.entering > 0).any(axis=0)) | self.impossible",
         "return np.asarray((self.counts.avoiding == 0).all(axis=0)) | self.impossible",
         "inference/test_ranking",
     ),
     Mutant(
         "count each task once, however many demonstrations it has",
-        "inference/ranking.py",
+        "inference/scores.py",
         "return np.bincount(self.task_of, minlength=self.evidence.num_tasks)",
         "return np.minimum(np.bincount(self.task_of, minlength=self.evidence.num_tasks), 1)",
         "inference/test_ranking",
@@ -287,14 +287,14 @@ MUTANTS = (
         "evidence/samples.py",
         'if method != "plain":',
         "if False:",
-        "evidence/test_evidence",
+        "evidence/test_samples",
     ),
     Mutant(
         "keep equal weights equal at another beta",
         "evidence/samples.py",
         "shift = (problem.beta - sampling_beta) * np.where(",
         "shift = 0.0 * np.where(",
-        "evidence/test_evidence -k theorem_2",
+        "evidence/test_at_beta -k theorem_2",
     ),
     Mutant(
         "fit beta as if each task had one demonstration",
@@ -383,7 +383,7 @@ MUTANTS = (
     Mutant(
         "forget the errors of ratios worked out with the constraint in force",
         "inference/posterior.py",
-        "error = np.hypot(island_error, _propagated(value, (own**2).sum(axis=0)))",
+        "error = np.hypot(island_error, _propagated_error(value, (own**2).sum(axis=0)))",
         "error = island_error",
         "inference/test_posterior",
     ),
@@ -480,14 +480,14 @@ MUTANTS = (
     ),
     Mutant(
         "let a demonstration begin elsewhere than its task",
-        "inference/judging.py",
+        "demonstrations/batch.py",
         "if not (is_there.all() and are_plausible(states, space)):",
         "if not are_plausible(states, space):",
         "inference/test_judging",
     ),
     Mutant(
         "rest at the start rather than where a shorter demonstration ends",
-        "inference/judging.py",
+        "demonstrations/batch.py",
         "return states[np.minimum(np.arange(num), len(states) - 1)]",
         "return states[np.arange(num) % len(states)]",
         "inference/test_judging",

@@ -280,3 +280,16 @@ class TestActionBox:
             box.check(PLANE, ("spin", "f"))
         with pytest.raises(ValueError, match="ActionBox: expected low < high for 'f'"):
             ActionBox(f=(1.0, 1.0))
+
+
+def test_the_whole_circle_contains_every_angle() -> None:
+    box = Box(theta=(0.0, TWO_PI))
+    tiny = np.array([0.0, -0.0, -1e-300, -1e-17, -1e-16, 1e-17, TWO_PI, -TWO_PI])
+    assert box.contains(np.stack([tiny, tiny], axis=-1), PENDULUM).all()
+    tiny = jnp.array([0.0, -1e-8, -1e-7, -1e-9])
+    assert box.contains(jnp.stack([tiny, tiny], axis=-1), PENDULUM).all()
+
+
+def test_a_number_in_the_place_of_an_interval() -> None:
+    with pytest.raises(ValueError, match=r"Box: expected x=\(low, high\), got 3"):
+        Box(x=3)  # pyright: ignore[reportArgumentType]

@@ -1,71 +1,23 @@
-"""Another beta than the one sampled at: weighed for it, and fitted to demonstrations."""
+"""Beta fitted to demonstrations."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from functools import cache
 
 import numpy as np
 import pytest
+from support.carts import CART, OTHER_TASK, cooled, sampled, shown
 from support.guesses import Guessed
-from support.reference import CART_TASK, Exact, enumerate_exactly, short_cart, short_pendulum
+from support.reference import CART_TASK, enumerate_exactly, short_cart
 from support.routes import TASK, LatticeRoutes, Routes, routes
-from support.short_problems import PROBLEMS
 
-from swerve import (
-    BetaFit,
-    Box,
-    Demonstration,
-    Evidence,
-    Nominal,
-    Problem,
-    Task,
-    demonstrate,
-    fit_beta,
-    infer,
-    learn,
-    sample,
-)
+from swerve import BetaFit, Demonstration, Task, fit_beta, infer, learn, sample
 from swerve.fitting.beta import Likelihood
 from swerve.fitting.rewards import total_rewards
 
 STANDARD_ERRORS = 4.0
-OF_ISLANDS = 5.1  # as unlikely, of Student's t with 19 degrees of freedom, as 4 of a normal
-GRID = "grid?num_points=81"
-FAR = Box(x=(50.0, 60.0))  # no constraint at all
-CART = short_cart(beta=2.0)
-OTHER_TASK = Task(np.array([-0.4, 0.5]), np.array([0.7, 0.0]))
-
-
-def cooled(problem: Problem, beta: float) -> Problem:
-    return dataclasses.replace(problem, beta=beta)
-
-
-@cache
-def exact(name: str, beta: float) -> Exact:
-    problem, task = PROBLEMS[name]
-    return enumerate_exactly(cooled(problem, beta), *task)
-
-
-@cache
-def nominal(beta: float) -> Nominal:
-    return learn(cooled(CART, beta), GRID)
-
-
-@cache
-def sampled(beta: float = 2.0, num: int = 4_000, seed: int = 0) -> Evidence:
-    """Evidence of two tasks of the cart."""
-    return sample(nominal(beta), [CART_TASK, OTHER_TASK], num, seed=seed)
-
-
-@cache
-def shown(beta: float = 2.0, num: int = 240, task: int = 0, seed: int = 0) -> list[Demonstration]:
-    """What demonstrators of one of the tasks do whom nothing holds back."""
-    start, goal = (CART_TASK, OTHER_TASK)[task]
-    tasks = Task(np.repeat(start[None], num, axis=0), np.repeat(goal[None], num, axis=0))
-    return demonstrate(cooled(CART, beta), FAR, tasks, solver=GRID, seed=seed)
 
 
 @cache
@@ -76,53 +28,6 @@ def of_two_tasks() -> Likelihood:
     task_of = infer(evidence, made).task_of
     np.testing.assert_array_equal(task_of, [0, 0, 0, 1, 1, 1, 1, 1])
     return Likelihood.of(evidence, task_of, total_rewards(CART, made))
-
-
-def assert_within_errors(evidence: Evidence, truth: Exact, before: Exact) -> None:
-    """The answer is that of the new beta, and not that of the old one."""
-    most = OF_ISLANDS if evidence.method == "smc" else STANDARD_ERRORS
-    error = np.sqrt(evidence.summary.avoid_variance[0]) + 1.0 / evidence.effective_sample_size[0]
-    found = evidence.violation_probability[0]
-    off, moved = (np.abs(found - x.violation_probability) / error for x in (truth, before))
-    is_open = (truth.violation_probability > 0.02) & (truth.violation_probability < 0.98)
-    assert np.count_nonzero(is_open) >= 3
-    assert off[is_open].max() < most
-    assert moved[is_open].max() > 1.5 * most
-    np.testing.assert_allclose(found, truth.violation_probability, atol=0.05)
-    islands = evidence.island_log_partition[0]
-    spread = islands.std() / math.sqrt(len(islands) - 1)
-    assert spread < 0.1
-    assert evidence.log_partition[0] == pytest.approx(
-        truth.log_partition, abs=OF_ISLANDS * spread + 1e-3
-    )
-
-
-class TestEvidenceAtAnotherBeta:
-    @pytest.mark.parametrize(
-        ("method", "factor"),
-        [("importance", 0.75), ("importance", 2.0), ("plain", 0.75), ("plain", 2.0), ("smc", 3.0)],
-    )
-    @pytest.mark.parametrize("name", PROBLEMS)
-    def test_agrees_with_enumeration(self, name: str, method: str, factor: float) -> None:
-        problem, task = PROBLEMS[name]
-        source = learn(problem, GRID)
-        if method == "smc":  # by a bad value, such that there is something to resample
-            source = Guessed(problem, -0.4 if name == "pendulum" else 0.1)
-        evidence = sample(source, task, 20_000, method=method)
-        assert method != "smc" or evidence.distinct_share[0] < 0.9
-        beta = factor * problem.beta
-        assert_within_errors(evidence.at_beta(beta), exact(name, beta), exact(name, problem.beta))
-
-    def test_is_evidence_of_the_problem_at_that_beta(self) -> None:
-        evidence = sampled().at_beta(np.float32(3))  # pyright: ignore[reportArgumentType]
-        assert evidence.problem.fingerprint == cooled(CART, 3.0).record.fingerprint
-        assert evidence.sampling_beta == 2.0
-        assert "beta 3" in infer(evidence).evidence.problem.summary
-
-    def test_exact_answers_are_refused(self) -> None:
-        evidence = sample(learn(routes(LatticeRoutes(toll=1.0))), TASK)
-        with pytest.raises(ValueError, match=r"for their beta, 1, alone .* again at beta 0\.5"):
-            evidence.at_beta(0.5)
 
 
 class TestLikelihood:
@@ -298,79 +203,6 @@ class TestFit:
                 assert evidence.at_beta(1.3 * edge).effective_sample_size[0] < 100.0
 
 
-class TestRewards:
-    def test_are_those_of_the_steps(self) -> None:
-        made = shown()[0]
-        mdp, states, actions = CART.mdp, made.states, made.actions
-        assert actions is not None
-        steps = [mdp.reward(*step, made.task.goal) for step in zip(states, actions, states[1:])]  # noqa: B905
-        expected = sum(map(float, steps)) + float(mdp.terminal_reward(states[-1], made.task.goal))
-        assert total_rewards(CART, [made]) == pytest.approx([expected], rel=1e-5)
-
-    @pytest.mark.parametrize("offset", [0.0, 1.7e9])
-    def test_rows_at_other_times_are_resampled(self, offset: float) -> None:
-        made = next(item for item in shown() if len(item.states) == 8)
-        assert made.times is not None
-        assert made.actions is not None
-        times = np.sort(np.concatenate([made.times, made.times[:-1] + 0.2, [0.01, 2.03]]))
-        held = made.actions[(times[:-1] / 0.5 + 1e-6).astype(int)]
-        states = np.stack([np.interp(times, made.times, x) for x in made.states.T], axis=1)
-        finer = dataclasses.replace(made, states=states, times=times + offset, actions=held)
-        expected = total_rewards(CART, [made])
-        np.testing.assert_allclose(total_rewards(CART, [finer]), expected, rtol=1e-5)
-        wrong = dataclasses.replace(made, times=0.5 * made.times)  # as if twice as fast
-        assert abs(total_rewards(CART, [wrong])[0] - expected[0]) > 0.01
-
-    def test_angles_are_resampled_along_the_shorter_arc(self) -> None:
-        problem = short_pendulum()
-        theta = np.linspace(6.0, 7.2, 13)
-        states = np.stack([theta, np.full(13, 0.5)], axis=1)
-        times, goal = 0.2 * np.arange(13), np.array([1.0, 0.0])
-        turned = Demonstration("a", states, Task(states[0], goal), times, np.ones((12, 1)))
-        wrapped = states % [2.0 * math.pi, 100.0]
-        assert np.ptp(np.diff(wrapped[:, 0])) > 1.0
-        for item in (turned, dataclasses.replace(turned, states=wrapped)):
-            steps = Demonstration("b", states[::2], item.task, None, np.ones((6, 1)))
-            np.testing.assert_allclose(
-                total_rewards(problem, [item]), total_rewards(problem, [steps]), rtol=1e-5
-            )
-
-    def test_what_comes_after_the_end_does_not_count(self) -> None:
-        states = np.array([[0.6, 0.3], [1.1, 1.0], [1.6, 1.0], [2.1, 1.0], [2.6, 1.0]])
-        made = Demonstration("over", states, CART_TASK, actions=np.ones((4, 1)))
-        ended = dataclasses.replace(made, states=states[:3], actions=np.ones((2, 1)))
-        assert total_rewards(CART, [made]) == total_rewards(CART, [ended])
-
-    def test_the_last_state_is_kept(self) -> None:
-        """2.8 steps of 0.5 s count as three, to the line and not to just before it."""
-        states = np.array([[0.6, 0.3], [1.0, 1.0], [1.52, 1.0]])
-        made = Demonstration("e", states, CART_TASK, np.array([0.0, 0.7, 1.4]), np.ones((2, 1)))
-        bare = dataclasses.replace(made, states=states[:2], times=made.times[:2], actions=[[1.0]])  # pyright: ignore
-        assert total_rewards(CART, [made])[0] < total_rewards(CART, [bare])[0] - 2.0
-
-    def test_a_lattice_needs_no_times(self) -> None:
-        problem = routes(LatticeRoutes(), known=[], measure="counting")
-        states = np.linspace(*TASK, 9)
-        made = Demonstration("straight", states, TASK, times=np.arange(9) * 7.0)
-        assert total_rewards(problem, [made]) == pytest.approx([0.0])
-
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"actions": None}, "a: expected actions force, got none: what a demonstration earned"),
-            ({"actions": np.ones((4, 2))}, "a: expected actions force, got 2 of them"),
-            ({"actions": np.full((4, 1), np.nan)}, "a: row 1, column force: expected a finite"),
-            ({"times": 2.0 * np.arange(5)}, "a: 16 steps, more than the horizon of 7"),
-            ({"actions": np.full((4, 1), 1e30)}, "a: expected a finite total reward, got -inf"),
-        ],
-    )
-    def test_what_cannot_be_rewarded_is_refused(self, changes: dict, message: str) -> None:
-        states = np.tile(CART_TASK.start, (5, 1))
-        made = Demonstration("a", states, CART_TASK, actions=np.ones((4, 1)))
-        with pytest.raises(ValueError, match=message):
-            total_rewards(CART, [dataclasses.replace(made, **changes)])
-
-
 class TestBadArguments:
     @pytest.mark.parametrize("confidence", [0.0, 1.0, -1.0, math.nan])
     def test_confidence(self, confidence: float) -> None:
@@ -389,7 +221,9 @@ class TestBadArguments:
     def test_problem(self) -> None:
         with pytest.raises(ValueError, match=r"problem: expected a swerve\.Problem, got Prob"):
             fit_beta(CART.record, sampled(), shown())  # pyright: ignore[reportArgumentType]
-        with pytest.raises(ValueError, match="evidence: expected that of the problem, whose beta"):
+        with pytest.raises(
+            ValueError, match="evidence: expected evidence of the problem, whose beta"
+        ):
             fit_beta(short_cart(measure="counting"), sampled(), shown())
 
     def test_evidence(self) -> None:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from support.cells import PENDULUM, as_list, both_settings, entered, fewer, walks
 
 from swerve.base.space import TWO_PI
-from swerve.constraints.base import Predicate, violates
+from swerve.constraints.base import violates
 from swerve.constraints.boxes import Box
+from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import grid

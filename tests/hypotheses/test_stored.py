@@ -9,8 +9,8 @@ import pytest
 from support.cells import PENDULUM, PLANE, walks
 
 from swerve.base.space import TWO_PI
-from swerve.constraints.base import Predicate
 from swerve.constraints.boxes import Box
+from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import grid
 from swerve.hypotheses.stored import hypotheses_from_json

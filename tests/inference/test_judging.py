@@ -9,6 +9,7 @@ import pytest
 from support.rankings import RISING, evidence_with_chances
 from support.synthetic import TASKS, make_demonstration, make_evidence, make_record
 
+from swerve import Box
 from swerve.answer import infer
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
@@ -61,3 +62,27 @@ def test_a_shorter_demonstration_rests_where_it_ends() -> None:
     np.testing.assert_array_equal(together.entered[0], alone.entered[0])
     back = Demonstration("back", np.concatenate([corner, corner[:1]]), Task(start, goal))
     assert infer(evidence, [back]).entered.sum() > alone.entered.sum()
+
+
+@pytest.mark.parametrize("goal", [[1.0], [1.0, 2.0, 3.0], []])
+def test_a_goal_of_the_wrong_length_is_refused(goal: list[float]) -> None:
+    states = make_demonstration(0).states
+    wrong = Demonstration("demo_9", states, Task(TASKS.start[0], np.array(goal)))
+    with pytest.raises(
+        ValueError, match=f"demo_9: expected a goal of 2 numbers .*, got {len(goal)}"
+    ):
+        infer(make_evidence(), [wrong])
+
+
+def test_one_demonstration_in_the_place_of_a_list() -> None:
+    evidence = make_evidence()
+    with pytest.raises(ValueError, match=r"expected a list of demonstrations, got .* alone"):
+        infer(evidence, make_demonstration())  # pyright: ignore[reportArgumentType]
+
+
+def test_a_demonstration_through_a_known_wall_is_refused() -> None:
+    evidence = make_evidence(make_record(known=(Box(x=(5.0, 6.0)),)))
+    inside = make_demonstration(0, "ghost", x=5.5)
+    with pytest.raises(ValueError, match=r"ghost enters the known constraint x \[5, 6\)"):
+        infer(evidence, [inside])
+    assert len(infer(evidence, [make_demonstration(0, x=4.5)]).demonstrations) == 1

@@ -1,3 +1,5 @@
+"""The report as a page."""
+
 from __future__ import annotations
 
 import base64
@@ -5,12 +7,12 @@ import dataclasses
 import io
 import re
 from html import escape
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from support.pages import Page
 from support.synthetic import (
     evidence_of_columns,
     make_demonstration,
@@ -19,69 +21,27 @@ from support.synthetic import (
     make_samples,
 )
 
+from swerve.answer import Inference, infer
 from swerve.base import phrases
 from swerve.base.space import TWO_PI, StateSpace, Task
-from swerve.constraints.base import Predicate
+from swerve.constraints.predicate import Predicate
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
 from swerve.inference.greedy import greedy
-from swerve.inference.ranking import Inference, infer
+from swerve.presentation import html as hypertext
 from swerve.presentation import report
 from swerve.presentation.report import page, write_report
 
 EVIL = """</td><script>alert("1")</script><b onmouseover='x'>&amp; $x_{"""
-VOID = {"meta", "img", "source", "br"}
-
-
-class Page(HTMLParser):
-    """A page taken apart: what it says, its tables, its tags; every tag must be closed."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.text, self.tags, self.open = "", [], []
-        self.tables: list[list[list[str]]] = []
-        self.row_classes: list[list[str]] = []
-        self.feed(html)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-        if tag == "table":
-            self.tables.append([])
-            self.row_classes.append([])
-        if tag == "tr":
-            self.tables[-1].append([])
-            self.row_classes[-1].append(dict(attrs).get("class") or "")
-        if tag in ("td", "th"):
-            self.tables[-1][-1].append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] in ("td", "th"):
-            self.tables[-1][-1][-1] += data
-        if "style" not in self.open:
-            self.text += data
-
-    @property
-    def words(self) -> str:
-        return " ".join(self.text.split())
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.tags if name == tag]
 
 
 @pytest.fixture(autouse=True)
 def quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave pictures unrendered, which takes most of the time, but where they are looked at."""
     if "rendered" not in request.fixturenames:
-        monkeypatch.setattr(report, "_data", lambda figure: "data:image/png;base64,")
+        monkeypatch.setattr(hypertext, "_data", lambda figure: "data:image/png;base64,")
 
 
 @pytest.fixture
@@ -134,9 +94,9 @@ class TestPage:
         text = Page(page(ordinary())).words
         for words in (
             "Nats measure",
-            "Struck out is",
+            "Struck out are",
             "Tied are",
-            "They are alarms",
+            "Both numbers are alarms",
             "never sampled",
         ):
             assert words in text
@@ -247,7 +207,7 @@ class TestRanking:
     def test_of_the_paper_s_score(self) -> None:
         result = infer(make_evidence(), [make_demonstration(0)], score="average")
         text = Page(page(result)).words
-        assert "would have entered it with probability" in text
+        assert "would have entered this region with probability" in text
         assert "Ranked by" + "average violation" in text.replace("by average", "byaverage")
 
 

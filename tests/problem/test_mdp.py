@@ -1,7 +1,7 @@
+"""MDPs: names, defaults, integration, checks."""
+
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
 from typing import Any
 
@@ -10,46 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support.reference import Cart, short_cart, short_pendulum
+from support.reference import Cart
+from support.small_mdps import ANGLES, Bare, Height
 
-from swerve import MDP, Box, Pendulum, Predicate, Problem, grid, rk4
+from swerve import MDP, Pendulum, Problem, rk4
 from swerve.base.space import TWO_PI
-from swerve.hypotheses.base import HypothesisSet
 from swerve.problem.mdp import check_mdp
-from swerve.problem.record import ProblemRecord
-
-CELLS = grid(x=(-1.5, 1.5, 6), v=(-2.0, 2.0, 4))
-ANGLES = grid(theta=(0.0, TWO_PI, 4))
-
-
-class Bare(MDP):
-    """Only what has to be there."""
-
-    push: float = 1.0
-    state_names = ("theta", "speed")
-    action_names = ("a", "b")
-    actions = jnp.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    dt = 0.5
-    num_steps = 4
-    bounds = ((0.0, TWO_PI), (-1.0, 3.0))
-    angles = ("theta",)
-
-    def dynamics(self, state, action):
-        return state + self.push * action
-
-    def reward(self, state, action, next_state, goal):
-        return -jnp.sum(action)
-
-
-class Height(Bare):
-    """Its goal is a number that is no state."""
-
-    @property
-    def goal_names(self) -> tuple[str, ...]:
-        return ("height",)
-
-    def goal_of(self, states):
-        return states[-1:, 1]
 
 
 class OfClass(Bare):
@@ -94,7 +60,7 @@ class TestGoalNames:
     def test_are_those_of_the_states_unless_given(self) -> None:
         assert Bare().goal_names == ("theta", "speed")
         assert Cart().goal_names == ("x", "v")
-        with pytest.raises(AttributeError, match=r"Bare\.goal_names is known of an instance alone"):
+        with pytest.raises(AttributeError, match=r"Bare\.goal_names needs an instance"):
             _ = Bare.goal_names
 
 
@@ -296,148 +262,3 @@ class TestCheck:
                 return goal[2] - goal[0]
 
         check_mdp(Goals())
-
-
-class TestProblem:
-    def test_a_list_of_constraints_becomes_a_set(self) -> None:
-        boxes = [Box(x=(0.0, 1.0)), Box(v=(0.0, 1.0))]
-        problem = Problem(Cart(), boxes, known=[boxes[0]])
-        assert isinstance(problem.hypotheses, HypothesisSet)
-        assert [problem.hypotheses.constraint(k) for k in range(2)] == boxes
-        assert problem.known == (boxes[0],)
-
-    @pytest.mark.parametrize("beta", [0, -0.1, math.inf, math.nan, "1"])
-    def test_beta_has_to_be_a_number_above_0(self, beta: Any) -> None:
-        with pytest.raises(ValueError, match=f"beta: expected a finite number > 0, got {beta!r}"):
-            Problem(Cart(), CELLS, beta=beta)
-
-    @pytest.mark.parametrize(
-        ("arguments", "message"),
-        [
-            ({"mdp": Cart}, "mdp: expected a swerve.MDP, got <class"),
-            ({"mdp": "pendulum"}, "mdp: expected a swerve.MDP, got 'pendulum'"),
-            (
-                {"measure": "flat"},
-                r"measure: expected one of \('uniform', 'counting'\), got 'flat'",
-            ),
-            ({"hypotheses": []}, "hypotheses: expected at least one constraint"),
-            ({"hypotheses": ["wall"]}, r"hypotheses\[0\]: expected a Constraint, got 'wall'"),
-            ({"hypotheses": ANGLES}, "no state named 'theta'; the states are x, v"),
-            ({"hypotheses": [Box(y=(0, 1))]}, "no state named 'y'; the states are x, v"),
-            ({"known": [Box(x=(0, 1)), 7]}, r"known\[1\]: expected a Constraint, got 7"),
-            ({"known": [Box(y=(0, 1))]}, "no state named 'y'; the states are x, v"),
-        ],
-    )
-    def test_what_does_not_fit_is_refused(self, arguments: dict[str, Any], message: str) -> None:
-        with pytest.raises(ValueError, match=message):
-            Problem(**{"mdp": Cart(), "hypotheses": CELLS} | arguments)
-
-    def test_an_angle_may_not_span_more_than_a_turn(self) -> None:
-        with pytest.raises(ValueError, match="2 pi at most"):
-            Problem(Bare(), grid(theta=(0.0, 7.0, 3)))
-
-
-class Sail(Cart):
-    """Every way in which an MDP may hold a parameter."""
-
-    wind: float | jax.Array = 1.0
-    crew: int = eqx.field(default=3, static=True)
-    rig: str = eqx.field(default="sloop", static=True)
-    current: jax.Array = eqx.field(default_factory=lambda: jnp.zeros(3))
-    hulls: tuple = (1.0, 2.0)
-
-
-def pushed(middle: float) -> MDP:
-    """Carts of one name whose code is not the same."""
-
-    class Pushed(Cart):
-        @property
-        def actions(self):
-            return jnp.array([[-1.0], [middle], [1.0]])
-
-    return Pushed()
-
-
-def predicate(name: str, num_points: int = 8) -> Predicate:
-    return Predicate(name, lambda states: states[..., 0] > 1.0, num_points)
-
-
-DIFFERENT = {
-    "same": Problem(Sail(), CELLS),
-    "wind": Problem(Sail(wind=1.0 + 1e-15), CELLS),
-    "wind as an array": Problem(Sail(wind=jnp.array(2.0)), CELLS),
-    "crew": Problem(Sail(crew=4), CELLS),
-    "rig": Problem(Sail(rig="cat"), CELLS),
-    "current": Problem(Sail(current=jnp.array([0.0, 1e-7, 0.0])), CELLS),
-    "shape of current": Problem(Sail(current=jnp.zeros((3, 1))), CELLS),
-    "hulls": Problem(Sail(hulls=(1.0, 3.0)), CELLS),
-    "dt": Problem(Sail(dt=0.25), CELLS),
-    "num_steps": Problem(Sail(num_steps=8), CELLS),
-    "class": Problem(Cart(), CELLS),
-    "actions": Problem(pushed(0.5), CELLS),
-    "other actions": Problem(pushed(0.25), CELLS),
-    "beta": Problem(Sail(), CELLS, beta=1.0 + 1e-15),
-    "measure": Problem(Sail(), CELLS, measure="counting"),
-    "between_states": Problem(Sail(), CELLS, between_states=False),
-    "hypotheses": Problem(Sail(), grid(x=(-1.5, 1.5, 6), v=(-2.0, 2.0, 5))),
-    "order of axes": Problem(Sail(), grid(v=(-2.0, 2.0, 4), x=(-1.5, 1.5, 6))),
-    "boxes": Problem(Sail(), [CELLS.constraint(k) for k in range(len(CELLS))]),
-    "predicate": Problem(Sail(), [predicate("p")]),
-    "another predicate": Problem(Sail(), [predicate("q")]),
-    "points of a predicate": Problem(Sail(), [predicate("p", 9)]),
-    "known": Problem(Sail(), CELLS, known=[Box(x=(0.0, 0.1))]),
-    "another known": Problem(Sail(), CELLS, known=[Box(x=(0.0, 0.2))]),
-    "two known": Problem(Sail(), CELLS, known=[Box(x=(0.0, 0.1)), Box(x=(0.0, 0.2))]),
-}
-
-
-class TestRecord:
-    @pytest.mark.parametrize(
-        "problem",
-        [
-            Problem(Pendulum(max_torque=10.0), ANGLES, beta=0.67),
-            Problem(Height(), [Box(theta=(6.0, 7.0))], known=[Box(speed=(2.5, 3.0))]),
-            short_cart(measure="counting", between_states=False, known=[predicate("p")]),
-        ],
-    )
-    def test_round_trip(self, problem: Problem) -> None:
-        record = problem.record
-        text = json.dumps(record.to_json(), allow_nan=False)
-        back = ProblemRecord.from_json(json.loads(text))
-        assert json.dumps(back.to_json()) == text
-        assert back.fingerprint == record.fingerprint
-        assert back.summary == record.summary
-        for field in dataclasses.fields(record):
-            value, again = getattr(record, field.name), getattr(back, field.name)
-            assert type(again) is type(value)
-            if isinstance(value, int | float | str | bool):
-                assert again == value
-        assert back.goal_names == problem.mdp.goal_names
-        assert back.action_names == problem.mdp.action_names
-
-    def test_fields(self) -> None:
-        record = Problem(Height(push=2), ANGLES, beta=2).record
-        assert record.name == "Height(push=2)"
-        assert record.goal_names == ("height",)
-        assert not record.goal_is_last_state
-        assert Problem(Bare(), ANGLES).record.goal_is_last_state
-        assert (record.num_actions, record.num_steps, record.dt) == (3, 4, 0.5)
-        assert (record.beta, record.measure, record.between_states) == (2.0, "uniform", True)
-        assert record.summary == (
-            "Height(push=2), beta 2, uniform measure, 4 hypotheses judged at states and segments "
-            "between them"
-        )
-        walled = Problem(Bare(), ANGLES, known=[Box(speed=(2.0, 3.0))], between_states=False)
-        assert walled.record.summary.endswith("judged at states alone, known: speed [2, 3)")
-
-    def test_a_fingerprint_is_the_same_for_the_same_problem(self) -> None:
-        again = Problem(Sail(), grid(x=(-1.5, 1.5, 6), v=(-2, 2, 4)), beta=1)
-        assert again.record.fingerprint == DIFFERENT["same"].record.fingerprint
-        assert short_pendulum().record.fingerprint == short_pendulum().record.fingerprint
-
-    def test_a_fingerprint_depends_on_everything(self) -> None:
-        prints = {name: problem.record.fingerprint for name, problem in DIFFERENT.items()}
-        same: dict[str, list[str]] = {}
-        for name, fingerprint in prints.items():
-            same.setdefault(fingerprint, []).append(name)
-        assert [names for names in same.values() if len(names) > 1] == []

@@ -13,7 +13,7 @@ import pytest
 from support.problem_files import SHAPES
 
 import swerve
-from swerve.problem.loading import file_hash, load_problem, source_hashes
+from swerve.problem.loading import _is_user_source, file_hash, load_problem, source_hashes
 
 PRINT_SOURCES = """
 import json, sys
@@ -37,7 +37,7 @@ class TestSourceHashes:
         names = ("robot.py", "helper.py", "shapes.py")
         assert outside == {str(folder.resolve() / name) for name in names}
         within = {str(Path(path).relative_to(package)) for path in found.keys() - outside}
-        assert within <= {"mdp.py", "systems/pendulum.py"}
+        assert within <= {"problem/mdp.py", "systems/pendulum.py"}
         for path, digest in found.items():
             assert digest == file_hash(Path(path))
 
@@ -78,3 +78,14 @@ class TestSourceHashes:
         empty = file_hash(path)
         path.write_bytes(b"x")
         assert file_hash(path) != empty
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/home/me/.local/lib/python3.11/site-packages/jax/core.py",
+        "/usr/lib/python3/dist-packages/yaml/nodes.py",
+    ],
+)
+def test_packages_installed_elsewhere_are_no_sources(path: str) -> None:
+    assert not _is_user_source(Path(path))

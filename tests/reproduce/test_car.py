@@ -14,9 +14,10 @@ from support.command import Run
 
 from swerve import Box, Car, Evidence, Inference, Nominal, infer
 from swerve.demonstrators.driver import drives
-from swerve.evidence.exact import Drawn, ExactAnswer, exact_evidence
+from swerve.evidence.exact import ExactAnswer, KeptTrajectories, exact_evidence
 from swerve.fitting.beta import BetaFit
 from swerve.reproduce.car import figures as car_figures
+from swerve.reproduce.car import kept as car_kept
 from swerve.reproduce.car import measure as car
 from swerve.reproduce.car.measure import EXACT, NEXT, OBSTACLE, OTHER, TRUTH, verdict
 from swerve.solvers.trained.soft_value import SoftValue
@@ -68,8 +69,8 @@ def test_what_one_drive_says_and_seven_say() -> None:
     problem = car.model(car.FULL, 0.5)
     avoid = np.r_[np.full(14, 0.999), np.exp(np.linspace(-19.0, -6.0, 14))]
     states = np.array([[[0.0, 0.0, 0.0, 1.0], [0.0, 8.6, 0.0, 1.0]]])
-    drawn = Drawn(states, np.zeros(1), np.ones(1, int), np.zeros((1, 4), np.uint8))
-    answer = ExactAnswer(0.0, np.log(avoid), drawn)
+    kept = KeptTrajectories(states, np.zeros(1), np.ones(1, int), np.zeros((1, 4), np.uint8))
+    answer = ExactAnswer(0.0, np.log(avoid), kept)
     evidence = exact_evidence(problem.record, car.TASK, answer, "Toy()", 0)
     made = drives(Car(), OBSTACLE, 12)
     for drive in made:
@@ -95,11 +96,11 @@ def resolved(nominal: Nominal, inference: Inference, *, keep: Callable, **how: o
 
 
 def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a network that has hardly learned, beta as it may be and nothing resolved."""
+    """With a hardly trained network, a given beta and nothing resolved."""
     fit = BetaFit(0.45, (0.4, 0.5), 0.01, (0.3, 0.6), 0.95)
     monkeypatch.setattr(car, "QUICK", SMALL)
     monkeypatch.setattr(car, "fit_beta", lambda *arguments: fit)
-    monkeypatch.setattr(car, "resolve", resolved)
+    monkeypatch.setattr(car_kept, "resolve", resolved)
     monkeypatch.setattr(Inference, "is_open", np.ones((1, 28), bool))
     command = ("reproduce", "car", "--quick", "--out", tmp_path / "out")
     status, printed, said = run(*command)
@@ -120,8 +121,8 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
         belief = {row["region"]: float(row["posterior_of_seven"]) for row in csv.DictReader(file)}
     assert sum(belief.values()) == pytest.approx(1.0, abs=1e-3)
     first = (tmp_path / "out" / "car_track.csv").read_bytes()
-    kept = tmp_path / "out" / "work" / "car" / "quick.seed0"
-    assert {path.name for path in kept.iterdir()} == {
+    folder = tmp_path / "out" / "work" / "car" / "quick.seed0"
+    assert {path.name for path in folder.iterdir()} == {
         *("made_by.json", "seconds.json", "first.nominal", "first.evidence", "fitted.nominal"),
         *("fitted.evidence", "resolved.evidence", "foresight", "paper.evidence"),
     }
@@ -130,17 +131,17 @@ def test_files_and_resuming(run: Run, tmp_path: Path, monkeypatch: pytest.Monkey
         raise AssertionError("was done before")
 
     for name in ("learn", "sample", "foresee"):
-        monkeypatch.setattr(car, name, refuse)
+        monkeypatch.setattr(car_kept, name, refuse)
     assert run(*command)[0] == 0
     assert (tmp_path / "out" / "car_track.csv").read_bytes() == first
-    shutil.copy(kept / "paper.evidence", kept / "resolved.evidence")  # of another beta
+    shutil.copy(folder / "paper.evidence", folder / "resolved.evidence")  # of another beta
     status, _, said = run(*command)
-    assert (status, "remove it" in said) == (1, True), said
+    assert (status, "remove the file" in said) == (1, True), said
 
 
 def test_drives_that_tell_no_beta(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = BetaFit(math.inf, (0.4, math.inf), math.nan, (0.3, 0.6), 0.95)
     monkeypatch.setattr(car, "QUICK", SMALL)
     monkeypatch.setattr(car, "fit_beta", lambda *arguments: fit)
-    with pytest.raises(ValueError, match="the drives tell no beta: beta at the boundary"):
+    with pytest.raises(ValueError, match="free track do not determine beta: beta at the boundary"):
         car.reproduce(tmp_path, is_quick=True)

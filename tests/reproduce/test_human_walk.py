@@ -55,8 +55,8 @@ def write_tracks(folder: Path, tracks: Sequence[np.ndarray]) -> None:
 
 
 @cache
-def drawn(is_planted: bool, seed: int, num: int = 60) -> list[np.ndarray]:
-    """Draw tracks from side to side, exactly from pi_c or pi_0."""
+def sampled(is_planted: bool, seed: int, num: int = 60) -> list[np.ndarray]:
+    """Return tracks from side to side, sampled exactly from pi_c or pi_0."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:
@@ -73,7 +73,7 @@ def drawn(is_planted: bool, seed: int, num: int = 60) -> list[np.ndarray]:
         away = 2.2 * np.array([np.cos(angle), np.sin(angle)])
         task = Task(np.array(MIDDLE) - away, np.array(MIDDLE) + away)
         avoiding = [planted] if is_planted else []
-        found = nominal.answer(task, generator, avoiding=avoiding).drawn
+        found = nominal.answer(task, generator, avoiding=avoiding).kept
         tracks.append(found.states[0, : found.length[0] + 1])
     return tracks
 
@@ -99,7 +99,7 @@ def first_pick(answer: human_walk.Answer) -> np.ndarray:
 @pytest.fixture(scope="module")
 def planted(tmp_path_factory: pytest.TempPathFactory) -> Result:
     """What is found where there is an obstacle."""
-    folder = folder_of(tmp_path_factory.mktemp("planted"), drawn(True, 0))
+    folder = folder_of(tmp_path_factory.mktemp("planted"), sampled(True, 0))
     return human_walk.reproduce(folder, is_quick=True)
 
 
@@ -157,7 +157,7 @@ def test_belief_moves_with_the_number_of_tracks(planted: Result) -> None:
 
 
 def test_without_an_obstacle_nothing_is_sure(tmp_path: Path) -> None:
-    result = human_walk.reproduce(folder_of(tmp_path, drawn(False, 1)), is_quick=True)
+    result = human_walk.reproduce(folder_of(tmp_path, sampled(False, 1)), is_quick=True)
     assert result.answer.inference.posterior.none > 0.2
     assert all(pick.log_odds < 2.0 for pick in result.answer.picks)
 
@@ -297,10 +297,10 @@ def test_pictures_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"room.png: no such file"):
         read_room(tmp_path)
     (tmp_path / "room.png").write_text("walls")
-    with pytest.raises(ValueError, match=r"room.png: no PNG picture"):
+    with pytest.raises(ValueError, match=r"room.png: expected a PNG picture"):
         read_room(tmp_path)
     imsave(tmp_path / "room.png", np.zeros((20, 20)), cmap="gray", vmin=0.0, vmax=1.0)
-    with pytest.raises(ValueError, match=r"room.png: all of it is dark"):
+    with pytest.raises(ValueError, match=r"room.png: all pixels are dark"):
         read_room(tmp_path)
 
 

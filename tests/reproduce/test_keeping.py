@@ -43,8 +43,8 @@ def test_what_others_made_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     others = [Keeping.at(tmp_path, "full", (1, 3), 0, False)]
     others.append(Keeping.at(tmp_path, "quick", (1, 2), 1, False))
     assert len({made.folder, *(one.folder for one in others)}) == 3
-    with pytest.raises(ValueError, match=r"quick.seed0: holds what another .* other settings"):
+    with pytest.raises(ValueError, match=r"quick.seed0: was filled by another .* other settings"):
         Keeping.at(tmp_path, "quick", (1, 3), 0, False)
     monkeypatch.setattr(keeping, "version", lambda name: "0.0.0")
-    with pytest.raises(ValueError, match="another version of Swerve made"):
+    with pytest.raises(ValueError, match="filled by another version of Swerve"):
         Keeping.at(tmp_path, "quick", (1, 2), 0, False)

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from support.command import Run
 
 from swerve.constraints.base import violates
-from swerve.reproduce import made
+from swerve.reproduce import kept_demonstrations
 from swerve.reproduce.double_pendulum import measure as double_pendulum
 from swerve.reproduce.keeping import Clock
 from swerve.reproduce.pendulum import figures as pendulum_figures
@@ -78,7 +78,7 @@ def test_files_and_resuming(
     def refuse(*arguments: object, **settings: object) -> None:
         raise AssertionError("was made before")
 
-    monkeypatch.setattr(made, "first_optima", refuse)
+    monkeypatch.setattr(kept_demonstrations, "first_optima", refuse)
     monkeypatch.setattr("swerve.sampling.sample.sample_each", refuse)
     assert run(*command)[0] == 0
     assert (tmp_path / "out" / "pendulum_rank_torque10.csv").read_bytes() == first
@@ -92,7 +92,10 @@ def test_an_interrupted_one_goes_on(
         return ("reproduce", "pendulum", "--quick", "--out", tmp_path / out)
 
     assert run(*command("whole"))[0] == 0
-    optima, work = made.first_optima, tmp_path / "cut" / "work" / "pendulum" / "quick.seed0"
+    optima, work = (
+        kept_demonstrations.first_optima,
+        tmp_path / "cut" / "work" / "pendulum" / "quick.seed0",
+    )
 
     def once(*arguments: Any, **settings: Any) -> Any:
         if (work / "C1").exists():
@@ -100,7 +103,7 @@ def test_an_interrupted_one_goes_on(
         return optima(*arguments, **settings)
 
     with monkeypatch.context() as patched:
-        patched.setattr(made, "first_optima", once)
+        patched.setattr(kept_demonstrations, "first_optima", once)
         assert run(*command("cut"))[0] != 0
     assert not (work / "C2").exists()
     sampled = sampling.sample_each
@@ -202,7 +205,7 @@ def test_another_seed_makes_others_and_another_number_is_refused(
     seconds = pendulum.reproduce(tmp_path, is_quick=True).seconds
     assert seconds == first.seconds  # what is found again takes no time
     monkeypatch.setattr(pendulum, "QUICK", SMALL)
-    with pytest.raises(ValueError, match="with other settings: remove it"):
+    with pytest.raises(ValueError, match="with other settings: remove the folder"):
         pendulum.reproduce(tmp_path, is_quick=True)
 
 
@@ -263,6 +266,6 @@ def test_the_double_pendulum(run: Run, tmp_path: Path, monkeypatch: pytest.Monke
     clock = Clock(kept / "seconds.json").seconds
     for way, label in zip(ways, dict.fromkeys(row["way"] for row in rows), strict=True):
         learn = clock[f"double pendulum: {way.label}, learn"]
-        draw = clock[f"double pendulum: {way.label}, sample {double_pendulum.NAME}"]
+        sample = clock[f"double pendulum: {way.label}, sample {double_pendulum.NAME}"]
         told = [float(row["wall_time_s"]) for row in rows if row["way"] == label]
-        assert told == pytest.approx([learn + 0.5 * draw, learn + draw], rel=1e-3)
+        assert told == pytest.approx([learn + 0.5 * sample, learn + sample], rel=1e-3)

@@ -9,7 +9,7 @@ import pytest
 
 from swerve import Task, infer, learn, sample
 from swerve.problem.problem import Problem
-from swerve.reproduce.gridworld.measure import draw
+from swerve.reproduce.gridworld.measure import sampled
 from swerve.reproduce.ranks import Judged, curve, judged, ranks
 from swerve.systems.gridworld import Gridworld
 
@@ -51,7 +51,7 @@ def test_averages_are_those_over_all_subsets(size: int) -> None:
 
 
 def test_they_are_the_ranks_of_inference() -> None:
-    made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:6]
+    made = sampled(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:6]
     for score in ("likelihood", "average"):
         said = judged(infer(EVIDENCE, made, score=score), noise=0.0)
         for size in (1, 3):
@@ -63,7 +63,7 @@ def test_they_are_the_ranks_of_inference() -> None:
 
 
 def test_a_curve_falls_and_knows_its_error() -> None:
-    made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:40]
+    made = sampled(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:40]
     said = judged(infer(EVIDENCE, made), 5e-4)
     found = curve(said, TRUTH, [1, 5, 20], num_trials=200)
     assert found.rank[0] > found.rank[1] >= found.rank[2] >= 1.0
@@ -75,7 +75,7 @@ def test_a_curve_falls_and_knows_its_error() -> None:
     others = [
         curve(judged(infer(EVIDENCE, one), 5e-4), TRUTH, [5]).rank[0]
         for one in (
-            draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(k))[:40]
+            sampled(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(k))[:40]
             for k in range(1, 13)
         )
     ]
@@ -84,7 +84,7 @@ def test_a_curve_falls_and_knows_its_error() -> None:
 
 def test_what_no_trajectory_tells_apart_is_a_tie() -> None:
     """Violation probabilities below the noise count as 0."""
-    made = draw(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:2]
+    made = sampled(PROBLEM, TASK, frozenset([TRUTH]), np.random.default_rng(0))[:2]
     violation = EVIDENCE.violation_probability[0]
     noise = float(np.median(violation))
     said = judged(infer(EVIDENCE, made), noise)

@@ -13,8 +13,8 @@ from support.short_problems import assert_within_errors
 from support.training import Interrupted, assert_resumes, weights
 
 from swerve import PPO, Distilled, Grid, SoftValue, Task, learn, load_nominal, sample, save_nominal
-from swerve.solvers.trained.distilled_training import DirectPolicy
-from swerve.solvers.trained.soft_value_training import Trainer as SoftValueTrainer
+from swerve.solvers.trained.distilled import DirectPolicy
+from swerve.solvers.trained.soft_value import SoftValueTrainer
 from swerve.solvers.trained.training import TrainedNominal
 from swerve.work.settings import Settings
 from swerve.work.work import Work

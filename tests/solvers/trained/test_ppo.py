@@ -23,7 +23,6 @@ from swerve import PPO, Box, Problem, Task, learn, load_nominal, sample, save_no
 from swerve.evidence.estimators import kl_divergence
 from swerve.solvers.trained import losses
 from swerve.solvers.trained.lanes import fresh_lanes
-from swerve.solvers.trained.ppo_training import Trainer
 from swerve.solvers.trained.training import TrainedNominal
 
 SMALL = PPO(
@@ -195,13 +194,13 @@ def test_nominal_of_another_problem_is_refused(tmp_path: Path) -> None:
 
 def test_training_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     traces = []
-    iterate = Trainer.iterate
+    iterate = PPOTrainer.iterate
 
     def counted(self, state, x):
         traces.append(1)
         return iterate(self, state, x)
 
-    monkeypatch.setattr(Trainer, "iterate", counted)
+    monkeypatch.setattr(PPOTrainer, "iterate", counted)
     learn(short_pendulum(), TINY, seed=3)
     assert TINY.num_chunks > 10
     assert len(traces) == 1

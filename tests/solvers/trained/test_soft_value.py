@@ -20,7 +20,7 @@ from support.routes import TASK, Routes, routes, share_above
 from support.training import assert_resumes
 
 from swerve import Box, SoftValue, Task, learn, load_nominal, sample, save_nominal
-from swerve.solvers.trained.run import Progress
+from swerve.solvers.trained.probe import Progress
 from swerve.solvers.trained.soft_value import PATIENCE
 from swerve.solvers.trained.training import TrainedNominal
 

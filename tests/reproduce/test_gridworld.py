@@ -1,15 +1,10 @@
-"""Published results: golden output is told from altered output; figures show what was measured."""
+"""The gridworld of the paper: picks, figures and files."""
 
 from __future__ import annotations
 
 import csv
-import json
-import runpy
-import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,156 +12,25 @@ from matplotlib.collections import QuadMesh
 from matplotlib.image import imread
 from matplotlib.patches import Rectangle
 from support.command import Run
+from support.golden_world import left_after
 
+from swerve.answer import infer
 from swerve.base.space import Actions, Task
-from swerve.demonstrations.demonstration import Demonstration
-from swerve.fitting.rewards import divergence, taken_actions
-from swerve.inference.greedy import Pick, greedy
-from swerve.inference.ranking import infer
-from swerve.problem.problem import Problem
+from swerve.inference.greedy import greedy
 from swerve.reproduce import files
 from swerve.reproduce.gridworld import figures as gridworld_figures
 from swerve.reproduce.gridworld import golden as golden_output
 from swerve.reproduce.gridworld import measure as gridworld
-from swerve.reproduce.gridworld.golden import Golden, Picked, compare, read_golden
+from swerve.reproduce.gridworld.golden import Golden, Picked
 from swerve.sampling.sample import sample
 from swerve.solvers.exact.tabular import Tabular
 from swerve.systems.gridworld import MOVES, Gridworld
 
-ROOT = Path(__file__).resolve().parents[2]
-
-WORLD = {
-    "width": 4,
-    "height": 3,
-    "start": 0,
-    "goal": 3,
-    "action_delta": [list(MOVES[name]) for name in reversed(MOVES)],  # not the order of Swerve
-    "reward_per_action": -2.0,
-    "horizon": 10,
-    "feature_1_states": [9, 10],
-    "feature_2_states": [1, 5],
-    "threshold": 0.05,
-    "true_constraints": {"states": [6], "actions": [0], "features": [2]},
-}
-SIZES = [1, 3, 8]
-KINDS = [*(["feature"] * 2), *(["state"] * 12), *(["action"] * 8)]
-VALUES = [1, 2, *range(12), *reversed(range(8))]  # of the hypotheses, as the file counts them
-
 
 @cache
 def own_world() -> Golden:
-    """Return the project's own world, whose demonstrations take a while to draw."""
+    """Return the project's own world, whose demonstrations take a while to sample."""
     return gridworld.own_world()
-
-
-def left_after(problem: Problem, made: list[Demonstration], picks: list[Pick]) -> list[float]:
-    """Return the KL divergence after each pick."""
-    return [divergence(problem, made, np.full(len(made), p.log_partition[0])) for p in picks]
-
-
-@pytest.fixture(scope="module")
-def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small file of golden output, whose demonstrations and picks are the tabular solver's."""
-    path = tmp_path_factory.mktemp("golden") / "golden.json"
-    path.write_text(json.dumps({"world": WORLD, "num_demonstrations": SIZES, "sets": []}))
-    world = read_golden(path)
-    made = gridworld.draw(world.problem, world.task, world.truth, np.random.default_rng(1))[:8]
-    moves = [tuple(MOVES[name]) for name in reversed(MOVES)]
-    nominal = Tabular().learn(world.problem)
-    selected = []
-    for size in SIZES:
-        found = infer(sample(nominal, world.task), made[:size])
-        picks = greedy(found, nominal, threshold=world.threshold)
-        after = left_after(world.problem, made[:size], picks)
-        indices = [pick.hypothesis for pick in picks]
-        selected.append(
-            [
-                {"type": KINDS[index], "value": VALUES[index], "kl": kl}
-                for index, kl in zip(indices, after, strict=True)
-            ]
-        )
-    found = {
-        "states": [(d.states @ [1, 4]).astype(int).tolist() for d in made],
-        "actions": [
-            [moves.index((int(x), int(y))) for x, y in taken_actions(world.problem.mdp, d)]
-            for d in made
-        ],
-        "selected": selected,
-    }
-    path.write_text(json.dumps({"world": WORLD, "num_demonstrations": SIZES, "sets": [found]}))
-    return path
-
-
-def altered(golden: Path, folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
-    """Write the golden output with a change to its data."""
-    data = json.loads(golden.read_text())
-    change(data)
-    path = folder / "altered.json"
-    path.write_text(json.dumps(data))
-    return path
-
-
-def alter_pick(data: dict[str, Any]) -> None:
-    pick = data["sets"][0]["selected"][1][-1]
-    pick.update(type="state", value=11 if pick["value"] != 11 else 10)
-
-
-def alter_kl(data: dict[str, Any]) -> None:
-    data["sets"][0]["selected"][2][0]["kl"] += 1e-6
-
-
-def test_golden_output_is_told_from_altered_output(golden: Path, tmp_path: Path) -> None:
-    same, number, error = compare(read_golden(golden))
-    assert (same, number) == (3, 3)
-    assert error < 1e-12
-    same, number, error = compare(read_golden(altered(golden, tmp_path, alter_pick)))
-    assert (same, number) == (2, 3)
-    assert error < 1e-12
-    same, number, error = compare(read_golden(altered(golden, tmp_path, alter_kl)))
-    assert (same, number) == (3, 3)
-    assert error == pytest.approx(1e-6, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("change", "status", "said"),
-    [
-        (lambda data: None, 0, "3 of 3 sequences"),
-        (alter_pick, 1, "2 of 3 sequences"),
-        (alter_kl, 1, "largest KL error 1e-06"),
-    ],
-)
-def test_exit_status_of_the_comparison(
-    golden: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    change: Callable[[dict[str, Any]], object],
-    status: int,
-    said: str,
-) -> None:
-    script = ROOT / "experiments" / "gridworld" / "golden.py"
-    monkeypatch.setattr(sys, "argv", [str(script), str(altered(golden, tmp_path, change))])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(script), run_name="__main__")
-    assert ended.value.code == status
-    assert said in capsys.readouterr().out
-
-
-def test_real_golden_output(shared_data: Path) -> None:
-    world = read_golden(shared_data / "gridworld" / "golden.json")
-    assert len(world.truth) == 9
-    same, number, error = compare(gridworld.at_sizes(world, [10]))
-    assert (same, number) == (5, 5)
-    assert error < 1e-12
-    result = gridworld.measure(gridworld.at_sizes(world, [2, 5]))
-    assert result.agreement is not None
-    assert result.agreement[:2] == (10, 10)
-    assert result.agreement.error < 1e-12
-    assert result.golden is not None
-    place = result.curves.thresholds.index(0.1)
-    np.testing.assert_array_equal(result.curves.num_false[place], result.golden.num_false[0])
-    np.testing.assert_allclose(result.curves.kl[place], result.golden.kl[0], atol=1e-12)
-    np.testing.assert_allclose(result.golden.num_false[0].mean(axis=0), [2.2, 1.2])
 
 
 def test_cutting_a_sequence_is_picking_with_the_larger_threshold() -> None:
@@ -214,7 +78,7 @@ def test_own_demonstrations_are_drawn_from_the_constrained_distribution() -> Non
     nominal = Tabular().learn(world.problem)
     start = np.random.default_rng(0)
     exact = 1.0 - nominal.answer(world.task, start, avoiding=sorted(world.truth)).avoid_probability
-    every = [demonstration for drawn in world.sets for demonstration in drawn]
+    every = [demonstration for one in world.sets for demonstration in one]
     evidence = sample(nominal, Task(*(end[None] for end in world.task)))
     entered = infer(evidence, every).entered
     assert entered.shape == (500, len(world.problem.hypotheses))
@@ -225,7 +89,7 @@ def test_own_demonstrations_are_drawn_from_the_constrained_distribution() -> Non
     assert (np.abs(entered.mean(axis=0) - exact) <= 4.5 * error)[telling].all()
     nominal_violation = evidence.violation_probability[0]
     assert (np.abs(nominal_violation - exact) > 4.5 * error)[telling].sum() > 5
-    firsts = {drawn[0].states.tobytes() for drawn in world.sets}
+    firsts = {one[0].states.tobytes() for one in world.sets}
     assert len(firsts) > 1
     again = gridworld.own_world(seed=3).sets[4][99]
     np.testing.assert_array_equal(again.states, every[-1].states)
@@ -330,48 +194,6 @@ def test_command(run: Run, golden: Path, tmp_path: Path) -> None:
     assert [line.split()[0] for line in printed.splitlines()[2:4]] == ["1", "3"]
     assert "gridworld_curves.png" in said
     assert len(read_csv(out / "gridworld_curves.csv")) == 10
-
-
-def test_command_refuses_before_the_work(run: Run, golden: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    cases: list[tuple[Callable[[dict[str, Any]], object], str]] = [
-        (lambda data: data.pop("sets"), "not of the form of a golden.json: KeyError('sets')"),
-        (lambda data: data.update(num_demonstrations=3), "not of the form of a golden.json"),
-        (
-            lambda data: data.update(num_demonstrations=[]),
-            "numbers num_demonstrations of at least 1",
-        ),
-        (lambda data: data.update(sets=[]), "at least one set of demonstrations, got none"),
-        (lambda data: data.update(num_demonstrations=[1, 3, 9]), "expected 9 demonstrations"),
-        (lambda data: data["sets"][0]["selected"].pop(), "picks for each of 3 sizes, got 2"),
-        (lambda data: data["sets"][0]["actions"][0].append(9), "not of the form of a golden.json"),
-    ]
-    for change, message in cases:
-        path = altered(golden, tmp_path, change)
-        status, printed, said = run("reproduce", "gridworld", "--out", tmp_path, "--data", path)
-        assert (status, printed) == (1, ""), message
-        assert message in said
-        assert str(path) in said
-    (tmp_path / "torn.json").write_text(golden.read_text()[:-20])
-    for out, data, message in (
-        ("out", "nowhere.json", "nowhere.json: no such file; check the path"),
-        ("out", "torn.json", "torn.json: not of the form of a golden.json"),
-        ("file/out", golden, "cannot write in"),
-    ):
-        arguments = ("--out", tmp_path / out, "--data", tmp_path / data)
-        status, printed, said = run("reproduce", "gridworld", *arguments)
-        assert (status, printed) == (1, "")
-        assert message in said
-        assert "picking" not in said
-    status, _, said = run("reproduce", "atlantis", "--out", tmp_path)
-    assert status != 0
-    assert "gridworld" in said
-
-
-def test_quick_needs_sizes_that_are_there(golden: Path, tmp_path: Path) -> None:
-    path = altered(golden, tmp_path, lambda data: data.update(num_demonstrations=[2, 4, 5]))
-    with pytest.raises(ValueError, match=r"expected some of \[2, 4, 5\], got none: leave out"):
-        gridworld.reproduce(path, is_quick=True)
 
 
 def test_without_golden_output() -> None:
