@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from support.synthetic import evidence_of_columns, make_demonstration, make_evidence, make_record
 
+from swerve.answer import Inference, infer
 from swerve.base import phrases
-from swerve.constraints.base import Predicate
 from swerve.constraints.boxes import Box
+from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
-from swerve.inference.ranking import Inference, infer
 from swerve.presentation import sentences as wording
 
 CELLS = grid(x=(0.0, 10.0, 10))  # the tasks start in 1, 5 and 9

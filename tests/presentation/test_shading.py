@@ -222,7 +222,7 @@ class TestActionsInStates:
         return plot_inference(infer(make_evidence(record, samples)))
 
     def test_are_crossed_in_their_colour_and_named_and_not_filled(self) -> None:
-        figure = self.kept()
+        figure = self.drawn()
         axes = axes_of(figure)
         (shades,) = [c for c in axes.collections if type(c) is PolyCollection]
         assert len(shades.get_paths()) == 1
@@ -239,7 +239,7 @@ class TestActionsInStates:
         assert to_rgba(outline.get_facecolor())[3] == 0.0
 
     def test_known_ones_are_told_from_known_constraints(self) -> None:
-        axes = axes_of(self.kept(known=(self.PLACE, Box(x=(4.0, 4.5)))))
+        axes = axes_of(self.drawn(known=(self.PLACE, Box(x=(4.0, 4.5)))))
         (crossed,) = patches(axes, "known constraint on actions")
         assert to_rgba(crossed.get_facecolor())[3] == 0.0
         (filled,) = [p for p in patches(axes, "known") if p.get_label() == "known constraint"]

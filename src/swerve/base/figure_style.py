@@ -1,7 +1,6 @@
-"""What all pictures share: ink, a header above the axes, open sides, a file.
+"""Give all pictures the same look: colours, a header above the axes, open sides; write them.
 
-matplotlib is used through its objects alone, so neither a window nor the global state of pyplot is
-touched.
+Only matplotlib's objects are used, never pyplot: no window opens and no global state changes.
 """
 
 from __future__ import annotations
@@ -14,34 +13,32 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from swerve.base import phrases
+from swerve.base.phrases import wrapped
 
-WIDTH, MIN_WIDTH = 8.4, 2.5  # in
+WIDTH, MIN_WIDTH = 8.4, 2.5  # in: of a picture unless told otherwise, and of the narrowest
 
-INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"
+INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"  # of text, of side notes, of warnings
 
 
 def headed(
     header: list[tuple[str, float, str]], width: float, height: float, used: float
 ) -> Figure:
-    """Return a figure with lines of text above the room for its axes.
+    """Return a figure with a header of text lines, and room for axes below the header.
 
     Args:
       header: lines as (text, size [pt], colour).
       width: of the figure [in].
-      height: of the room below the lines [in].
-      used: width of that room [in].
+      height: of the room below the header [in].
+      used: width of the room below the header [in].
 
     Raises:
-      ValueError: if it is too narrow for its text.
+      ValueError: if the figure is too narrow for its text.
     """
     if width < MIN_WIDTH:
         raise ValueError(f"width: expected at least {MIN_WIDTH} in, got {width}")
     lines = []
     for text, size, colour in header:
-        lines += [
-            (line, size, colour) for line in phrases.wrapped(text, width - 0.3, size).split("\n")
-        ]
+        lines += [(line, size, colour) for line in wrapped(text, width - 0.3, size).split("\n")]
     top = 0.15 + sum(1.4 * size / 72 for _, size, _ in lines)
     figure = Figure((width, height + top), facecolor="white")
     FigureCanvasAgg(figure)
@@ -58,13 +55,13 @@ def headed(
 
 
 def open_sides(axes: Axes, size: float = 8.0) -> None:
-    """Leave axes the sides that carry numbers, at the left and below, these of some size [pt]."""
+    """Hide the top and right sides of axes; the numbers at the other sides get a size [pt]."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=size)
 
 
 def written(figure: Figure, path: str | Path | None) -> Figure:
-    """Write a figure to a file, if one is named, and return it."""
+    """Write a figure to a file, if a file is named, and return the figure."""
     if path is not None:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=200)

@@ -1,1 +1,1 @@
-"""Package."""
+"""Say, draw and report an answer; compute nothing."""

@@ -1,4 +1,4 @@
-"""Pictures of how belief moved while a demonstration went on.
+"""Draw how belief moved while a demonstration went on.
 
     P_t(c) against t, as lines; P_t over the state space, as an animation
 
@@ -19,27 +19,29 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from swerve.base.figure_style import FAINT, INK, WIDTH, headed, open_sides, written
+from swerve.base.phrases import cut, probability
 from swerve.base.space import Task
-from swerve.inference.ranking import Inference, infer
+from swerve.inference.ranking import Ranking
 from swerve.monitoring.course import Course
 from swerve.presentation import plane as planes
-from swerve.presentation import sentences as wording
 from swerve.presentation.plane_picture import picture
 from swerve.presentation.shading import Shading, of_probability
 
-NUM_LINES = 5  # hypotheses drawn: those that were most probable at some time
-LEAST_SUM = 0.01  # probability of all the others at some time, below which it is not drawn
+NUM_LINES = 5  # hypotheses with a line of their own: those that were most probable at some time
+LEAST_SUM = 0.01  # probability: where the other hypotheses never have more together, no line
 STYLES = ("-", "--", "-.", ":", (0, (1, 1)))
 COLOURS = ("#5b1a78", "#d55e00", "#0072b2", "#009e73", "#999999")
-NUM_FRAMES, FRAME, LAST = 60, 100, 2_000  # frames, and how long each and the last are shown [ms]
-DPI = 80
+NUM_FRAMES = 60  # at most
+FRAME, LAST = 100, 2_000  # ms, for which each frame and the last one are shown
+DPI = 80  # pixels an inch of an animation: small files
 
 
 def plot_course(course: Course, path: str | Path | None = None, *, width: float = WIDTH) -> Figure:
     """Draw how probable no constraint and the likeliest hypotheses were, against time.
 
-    At a cross a hypothesis is entered. The dots at the right are what is believed when the
-    demonstration has ended. Where the hypotheses without a line matter, one line is their sum.
+    A cross marks where the demonstration enters a hypothesis. The dots at the right are the belief
+    after the demonstration ended. One more line is the sum of all other hypotheses, where it
+    exceeds 1 % at some time.
 
     Args:
       course: from `swerve.follow`.
@@ -52,13 +54,13 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     shown = np.argsort(-course.hypotheses.max(axis=0), kind="stable")[:NUM_LINES].tolist()
     header = [
         (f"Belief while {course.demonstration.name} went on", 11.5, INK),
-        ("Dots: when it had ended. Crosses: a hypothesis is entered.", 8.0, FAINT),
+        ("Dots: belief after the end. Crosses: the demonstration enters a hypothesis.", 8.0, FAINT),
     ]
     figure = headed(header, width, 0.45 * width, width)
     axes = figure.add_subplot()
     _draw_line(axes, course, course.none, "no constraint", color=INK, lw=2.0)
     for index, style, colour in zip(shown, STYLES, COLOURS, strict=False):
-        name = wording.cut(course.evidence.problem.hypotheses.name(index), 40)
+        name = cut(course.evidence.problem.hypotheses.name(index), 40)
         label = f"{index}: {name}"
         _draw_line(axes, course, course.hypotheses[:, index], label, color=colour, ls=style, lw=1.5)
         if course.entered[-1, index]:
@@ -79,6 +81,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
 
 
 def _draw_line(axes: Axes, course: Course, values: np.ndarray, label: str, **style: object) -> None:
+    """Draw values [L + 1] against time, the last, after the end, as a dot."""
     [line] = axes.plot(course.times[:-1], values[:-1], label=label, **style)  # pyright: ignore
     axes.plot(course.times[-1], values[-1], "o", color=line.get_color(), ms=5, clip_on=False)
 
@@ -92,16 +95,16 @@ def animate_course(course: Course, path: str | Path, *, width: float = WIDTH) ->
       width: of the picture [in].
 
     Raises:
-      ValueError: if the file is no .gif, or the picture is too narrow for its text.
+      ValueError: if the file is no .gif file, or the picture is too narrow for its text.
     """
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"{path}: expected a file that ends in .gif")
     num = len(course.demonstration.states)
     rows = np.unique(np.linspace(0, num, min(NUM_FRAMES, num + 1)).astype(int))
-    blank = infer(course.evidence)
+    blank = Ranking.of(course.evidence)
     end = _figure(course, blank, num, width)
-    end.draw_without_rendering()  # laid out once, for all: nothing moves but what is shown
+    end.draw_without_rendering()  # lays out the axes once, so that they do not move
     places = [axes.get_position(original=True) for axes in end.axes]
     frames = [_frame(_figure(course, blank, k, width), places) for k in rows.tolist()]
     height = max(frame.height for frame in frames)
@@ -114,7 +117,7 @@ def animate_course(course: Course, path: str | Path, *, width: float = WIDTH) ->
 
 
 def _frame(figure: Figure, places: list[Bbox]) -> Image.Image:
-    """Return a figure, its axes at the places given, as an image."""
+    """Return a figure as an image, with its axes at given places."""
     figure.set_layout_engine("none")
     for axes, place in zip(figure.axes, places, strict=True):
         axes.set_position(place)
@@ -124,8 +127,8 @@ def _frame(figure: Figure, places: list[Bbox]) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def _figure(course: Course, blank: Inference, k: int, width: float) -> Figure:
-    """Return the picture after state k; with k = L that of the end."""
+def _figure(course: Course, blank: Ranking, k: int, width: float) -> Figure:
+    """Return the picture after state k, or after the end where k = L."""
     values = np.where(np.isneginf(course.log_likelihood[k]), -np.inf, course.hypotheses[k])
     is_best = course.hypotheses[k].max() >= course.none[k]
     best = np.argsort(-values, kind="stable")[:1]
@@ -135,19 +138,25 @@ def _figure(course: Course, blank: Inference, k: int, width: float) -> Figure:
         "posterior probability",
         best if np.isfinite(values[best]).all() else best[:0],
         ("most probable" if is_best else "most probable of the hypotheses", ""),
-        lambda index: wording.probability(course.hypotheses[k, index], 0.0),
+        lambda index: probability(course.hypotheses[k, index], 0.0),
         is_set=False,
         none=(course.none[k], "no constraint"),
     )
     at = "at the end" if k == len(course.demonstration.states) else f"{course.times[k]:.2f} s"
-    none = wording.probability(course.none[k], 0.0)
+    none = probability(course.none[k], 0.0)
     header = [(f"{course.demonstration.name}, {at}: no constraint {none}", 11.5, INK)]
     whole = planes.Path(course.demonstration.states, course.demonstration.times)
     return picture(_so_far(course, blank, k), shading, header, width, also=[whole])
 
 
-def _so_far(course: Course, blank: Inference, k: int) -> Inference:
-    """Return an inference from the states up to k, made of that of none, for what is drawn."""
+def _so_far(course: Course, blank: Ranking, k: int) -> Ranking:
+    """Return a ranking that holds the demonstration up to state k, only to be drawn.
+
+    Args:
+      course: from `swerve.follow`.
+      blank: the ranking without demonstrations.
+      k: a state, or L for the end.
+    """
     whole, upto = course.demonstration, min(k + 1, len(course.demonstration.states))
     times = None if whole.times is None else whole.times[:upto]
     part = dataclasses.replace(whole, states=whole.states[:upto], times=times, actions=None)

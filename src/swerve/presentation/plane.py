@@ -1,8 +1,8 @@
-"""The plane that a picture shows: two states, or one state against time.
+"""Choose the plane that a picture shows, two states or one state against time, and map onto it.
 
-An angle is drawn over one turn, [turn, turn + 2 pi). A path through it is a line that leaves at one
-edge and comes back at the other; a box across the edge is two rectangles. Constraints of any kind
-become rectangles (x low, x high, y low, y high).
+An angle is drawn over one turn, [turn, turn + 2 pi). A path across the edge of the turn leaves the
+picture at one side and comes back at the other; a box across that edge is two rectangles.
+Constraints become polygons, or rectangles (x low, x high, y low, y high).
 
 Shapes: L points of a path, R rectangles, H hypotheses, n states.
 """
@@ -18,31 +18,33 @@ from typing import NamedTuple
 import numpy as np
 
 from swerve.base.space import TWO_PI, StateSpace
-from swerve.constraints import polygons
+from swerve.constraints import polygon_geometry
 from swerve.constraints.base import Constraint, Union
 from swerve.constraints.boxes import Box
-from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+from swerve.constraints.polygons import Polygon
+from swerve.constraints.shapes import Ball, HalfSpace
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.hypotheses.windows import WindowHypotheses
-from swerve.inference.ranking import Inference
-from swerve.problem.problem import ProblemRecord
+from swerve.inference.ranking import Ranking
+from swerve.problem.record import ProblemRecord
 
-TIME = ""
-RASTER = 360  # points a side at which constraints other than boxes are evaluated
-NEAR = 0.08  # of the bounds of a state: an axis that ends this near to a bound ends there
-MARGIN = 0.02  # of the range, around paths that leave the hypotheses behind
-ROUNDING = 1e-9
-ROUND = 120  # corners with which a ball is drawn
-CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # of (x low, x high, y low, y high)
-MAX_IMAGES = 4  # rectangles of a box, which two angles may cut
+TIME = ""  # the name of the time axis, since no state has an empty name
+RASTER = 360  # points a side at which constraints without an outline are evaluated
+NEAR = 0.08  # share of a state's bounds: an axis that ends this near to a bound is drawn up to it
+MARGIN = 0.02  # share of the range that is left free beyond paths that leave the hypotheses
+ROUNDING = 1e-9  # rad, and share of an axis: differences below it come from rounding
+ROUND = 120  # corners of the polygon that a ball is drawn as
+CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # columns of a rectangle's x and y, corner by corner
+MAX_IMAGES = 4  # rectangles that a box becomes where the edges of two angles cut it
+LABEL_ROOM = 1.3  # distance of a label from its constraint, in half extents of the label
 DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)])
 EVERYTHING = (-math.inf, math.inf)
 
 
 class Path(NamedTuple):
-    """States [L, n] and their times [L] in seconds, or None where they are not known."""
+    """States [L, n] and their times [L] in seconds; None where the times are not known."""
 
     states: np.ndarray
     times: np.ndarray | None
@@ -54,9 +56,9 @@ class Plane:
 
     Attributes:
       space: the state space.
-      names: the state on each axis, TIME for time.
-      has_times: whether time is in seconds; if not, it is the share of a path, from 0 to 1.
-      turns: [2] where the drawn turn of an angle begins [rad], NaN for what is no angle.
+      names: the state on each axis; TIME for time.
+      has_times: whether time is in seconds; else time is the share of a path, from 0 to 1.
+      turns: [2] where the drawn turn of an angle begins [rad]; NaN for an axis without an angle.
       limits: [2, 2] the drawn range of each axis.
     """
 
@@ -68,7 +70,7 @@ class Plane:
 
     @property
     def labels(self) -> tuple[str, str]:
-        """Labels of the axes, with the units that are known."""
+        """Labels of the axes, with their units where these are known."""
         time = "time [s]" if self.has_times else "share of the trajectory"
         first, second = (
             f"{name} [rad]" if name in self.space.angles else name or time for name in self.names
@@ -77,12 +79,12 @@ class Plane:
 
     @property
     def is_map(self) -> bool:
-        """Whether the axes are positions x and y, whose units are the same."""
+        """Whether the axes are the positions x and y, to be drawn at one scale."""
         x, y = self.limits[:, 1] - self.limits[:, 0]
         return set(self.names) == {"x", "y"} and bool(1 / 4 <= x / y <= 4)
 
     def line(self, path: Path) -> np.ndarray:
-        """Return a path as points [L, 2] without jumps: angles may lie outside the drawn turn."""
+        """Return a path as points [L, 2] without jumps, so angles may leave the drawn turn."""
         return _points(path, self.space, self.names, self.has_times)
 
     def wrapped(self, points: np.ndarray) -> np.ndarray:
@@ -92,7 +94,7 @@ class Plane:
     def pieces(self, path: Path) -> np.ndarray:
         """Return a path inside the drawn turn as points [P, 2], with NaN where the line breaks.
 
-        A piece goes on for one point beyond the edge of the turn, so that it reaches the edge.
+        Each piece has one point more, beyond the edge of the turn, so that its line reaches it.
         """
         points = self.line(path)
         turn = np.nan_to_num(np.floor((points - self.turns) / TWO_PI))
@@ -107,8 +109,8 @@ class Plane:
     def outlines(self, constraint: Constraint) -> list[np.ndarray]:
         """Return polygons, each [V, 2], that show a constraint within the limits.
 
-        Balls, polygons and half-spaces have their own outlines, others those of `rectangles`.
-        Constraints on actions in some states are shown as these states.
+        Balls, polygons and half-spaces have their own outlines; other constraints have those of
+        `rectangles`. A constraint on actions in some states is shown as these states.
         """
         if isinstance(constraint, StateAction):
             return self.outlines(constraint.states)
@@ -119,11 +121,13 @@ class Plane:
             return list(corners(self.rectangles(constraint)))
         images = [(-TWO_PI, 0.0, TWO_PI) if wraps else (0.0,) for wraps in ~np.isnan(self.turns)]
         moved = (self.wrapped(shown.mean(axis=0)) - shown.mean(axis=0)) + shown
-        parts = [polygons.clipped(moved + k, self.limits) for k in itertools.product(*images)]
+        parts = [
+            polygon_geometry.clipped(moved + k, self.limits) for k in itertools.product(*images)
+        ]
         return [part for part in parts if len(part) > 2]
 
     def _shape(self, constraint: Constraint) -> np.ndarray | None:
-        """Return the outline [V, 2] of a shape before it is clipped; None for what has none."""
+        """Return the outline [V, 2] of a shape, not yet clipped; None where it has no outline."""
         drawn = [name for name in self.names if name in constraint.spans]
         if isinstance(constraint, Ball) and len(drawn) == 2:
             angle = np.linspace(0.0, TWO_PI, ROUND, endpoint=False)
@@ -136,15 +140,16 @@ class Plane:
         if isinstance(constraint, HalfSpace) and 0 < len(drawn) == len(constraint.normal):
             normal = np.array([constraint.normal.get(name, 0.0) for name in self.names])
             picture = corners(self.limits.reshape(1, 4))[0]
-            return polygons.cut_off(picture, normal, constraint.offset)
+            return polygon_geometry.cut_off(picture, normal, constraint.offset)
         return None
 
     def rectangles(self, constraint: Constraint) -> np.ndarray:
         """Return [R, 4] rectangles (x low, x high, y low, y high) that show a constraint.
 
-        A box is projected on the plane. Others are cut where the states that are not drawn are in
-        the middle of their bounds. There are none where the constraint is outside the picture or
-        speaks of none of its states, nor for a predicate whose code is missing.
+        A box is projected on the plane. Other constraints are shown as the section where each state
+        that is not drawn is in the middle of its bounds. There are no rectangles (R = 0) where the
+        constraint is outside the picture or is about other states, nor for a predicate whose code
+        is missing.
         """
         if isinstance(constraint, Union):
             return np.concatenate([self.rectangles(part) for part in constraint.parts])
@@ -170,12 +175,12 @@ class Plane:
         return parts[(parts[..., 1] - parts[..., 0] > least).all(axis=1)].reshape(-1, 4)
 
     def place(self, shown: np.ndarray, busy: np.ndarray, label: np.ndarray) -> np.ndarray:
-        """Return where to put a label beside a constraint, and where a line from it meets it.
+        """Return where to put a label beside a constraint, and where its line meets the constraint.
 
         Args:
           shown: [R, 4] rectangles that show the constraint.
-          busy: [P, 2] points that it had better not cover; NaN is ignored.
-          label: [2] its half extents, as shares of the axes.
+          busy: [P, 2] points that the label should not hide; NaN is ignored.
+          label: [2] half extents of the label, as shares of the axes.
 
         Returns:
           [2, 2] centre of the label and end of the line, as shares of the axes.
@@ -183,10 +188,10 @@ class Plane:
         low, extent = self.limits[:, :1], self.limits[:, 1:] - self.limits[:, :1]
         parts = (shown.reshape(-1, 2, 2) - low) / extent
         box = parts[np.diff(parts).prod(axis=1).argmax()]
-        if len(parts) > MAX_IMAGES:  # of a raster
+        if len(parts) > MAX_IMAGES:  # the constraint is a raster: take the box around it
             box = np.stack([parts[..., 0].min(axis=0), parts[..., 1].max(axis=0)], axis=1)
         middle, half = box.mean(axis=1), np.diff(box)[:, 0] / 2
-        places = np.clip(middle + DIRECTIONS * (half + 1.3 * label), label, 1 - label)
+        places = np.clip(middle + DIRECTIONS * (half + LABEL_ROOM * label), label, 1 - label)
         points = (busy - low.T) / extent.T
         cost = (np.abs(points[:, None] - places) < label).all(axis=2).sum(axis=0).astype(float)
         cost += 1e9 * (np.abs(places - middle) < half + label).all(axis=1)
@@ -194,6 +199,7 @@ class Plane:
         return np.stack([best, np.clip(best, middle - half, middle + half)])
 
     def _raster(self, constraint: Constraint) -> np.ndarray:
+        """Return [R, 4] rectangles of the raster's cells whose centres are in a constraint."""
         edges = [np.linspace(low, high, RASTER + 1) for low, high in self.limits]
         states = np.tile(self.space.bounds.mean(axis=1), (RASTER, RASTER, 1))
         middles = np.meshgrid(*(0.5 * (edge[1:] + edge[:-1]) for edge in edges))
@@ -202,12 +208,12 @@ class Plane:
                 states[..., self.space.column(name)] = values
         try:
             return runs(np.asarray(constraint.contains(states, self.space)), *edges)
-        except ValueError:  # read from a file, which holds no code
+        except ValueError:  # a predicate read from a file, which holds no code
             return np.zeros((0, 4))
 
 
-def nominal_paths(inference: Inference, most: int) -> list[Path]:
-    """Return at most so many of the trajectories kept, from all tasks that were used alike."""
+def nominal_paths(inference: Ranking, most: int) -> list[Path]:
+    """Return at most `most` nominal trajectories, equally many from each task used."""
     tasks = np.flatnonzero(inference.task_counts)
     tasks = tasks[:: math.ceil(len(tasks) / most)]
     kept = inference.evidence.samples.kept[tasks, : most // len(tasks)]
@@ -216,11 +222,11 @@ def nominal_paths(inference: Inference, most: int) -> list[Path]:
 
 
 def plane_of(problem: ProblemRecord, paths: Sequence[Path]) -> Plane:
-    """Choose the plane and its range: the hypotheses and all paths fit in, angles in one turn.
+    """Choose the plane, and its range so that the hypotheses and all paths fit in.
 
     Args:
-      problem: whose hypotheses name the states to draw.
-      paths: what has to be visible. Time is in seconds if all of them have times.
+      problem: its hypotheses name the states to draw.
+      paths: the paths that must be visible. Time is in seconds if all paths have times.
     """
     space, hypotheses = problem.space, problem.hypotheses
     drawn = hypotheses.state_names
@@ -255,6 +261,7 @@ def runs(mask: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _points(path: Path, space: StateSpace, names: tuple[str, str], has_times: bool) -> np.ndarray:
+    """Return a path as points [L, 2] of the axes `names`, angles unwrapped."""
     columns = []
     for name in names:
         if name in space.angles:
@@ -271,7 +278,14 @@ def _points(path: Path, space: StateSpace, names: tuple[str, str], has_times: bo
 def _axis(
     hypotheses: HypothesisSet, space: StateSpace, name: str, values: np.ndarray
 ) -> tuple[float, tuple[float, float]]:
-    """Return where the drawn turn of an axis begins, NaN for what is no angle, and its range."""
+    """Return where the drawn turn of an axis begins (NaN if it is no angle), and its range.
+
+    Args:
+      hypotheses: their intervals of the state must be visible.
+      space: the state space.
+      name: the state on the axis, or TIME.
+      values: [P] values of all paths on the axis.
+    """
     if name == TIME:
         return math.nan, (0.0, float(values.max(initial=0.0)) or 1.0)
     bounds = space.bounds[space.column(name)]
@@ -296,7 +310,7 @@ def _axis(
 
 
 def _intervals(hypotheses: HypothesisSet, name: str) -> np.ndarray:
-    """Return [R, 2] the intervals of a state that hypotheses name."""
+    """Return [R, 2] the intervals of one state that the hypotheses name."""
     found: list[tuple[float, float]] = []
     if isinstance(hypotheses, GridHypotheses | WindowHypotheses):
         found = [hypotheses.axes[name][:2]] if name in hypotheses.axes else []
@@ -307,6 +321,7 @@ def _intervals(hypotheses: HypothesisSet, name: str) -> np.ndarray:
 
 
 def _hull(intervals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Return the range of intervals [R, 2] and values [P]; a margin beyond values outside."""
     low, high = float(intervals.min()), float(intervals.max())
     least, most = float(values.min(initial=low)), float(values.max(initial=high))
     margin = MARGIN * (most - least)
@@ -314,12 +329,12 @@ def _hull(intervals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
 
 
 def _whole(low: float, high: float, least: float, most: float) -> tuple[float, float]:
-    """Return a range that reaches the bounds where it nearly does: it is not to look cropped."""
+    """Return a range, widened to a bound that it nearly reaches: else it would look cropped."""
     near = NEAR * (most - least)
     low = least if least < low < least + near else low
     return low, most if most - near < high < most else high
 
 
 def _wrap(values: np.ndarray, turn: float | np.ndarray) -> np.ndarray:
-    """Return angles [rad] moved into [turn, turn + 2 pi), with room for rounding at its begin."""
+    """Return angles [rad] moved into [turn, turn + 2 pi), save for rounding just below."""
     return turn + (values - turn + ROUNDING) % TWO_PI - ROUNDING

@@ -1,7 +1,7 @@
-"""The picture of a plane: hypotheses shaded, what is known, nominal trajectories, demonstrations.
+"""Draw a plane: shaded hypotheses, known constraints, nominal trajectories and demonstrations.
 
-The plane is of two states, or one state and time (see `plane`); hypotheses are shaded by whatever
-number each of them has (see `shading`).
+The plane is of two states, or of one state and time (see `plane`). Each hypothesis is shaded by one
+number (see `shading`).
 
 Shapes: R rectangles.
 """
@@ -18,14 +18,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
+from swerve.base import phrases
 from swerve.base.figure_style import FAINT, INK, headed
-from swerve.constraints import polygons
+from swerve.constraints import polygon_geometry
 from swerve.constraints.boxes import Box
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
-from swerve.inference.ranking import Inference
+from swerve.inference.ranking import Ranking
 from swerve.presentation import plane as planes
-from swerve.presentation import sentences as wording
+from swerve.presentation import sentences
 from swerve.presentation.plane import Plane
 from swerve.presentation.shading import (
     COLOURS,
@@ -36,30 +37,31 @@ from swerve.presentation.shading import (
     draw_values,
     patch_of,
 )
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
 
-NUM_LINES = 100  # nominal trajectories drawn, of all tasks together
-LABEL_RASTER = 40  # points a side at which a label is kept off hypotheses
-NARROW = 6.0  # in; below it the colour bar goes under the picture
+NUM_LINES = 100  # nominal trajectories drawn, all tasks together
+LABEL_RASTER = 40  # points a side of the raster on which a label is kept off hypotheses
+NARROW = 6.0  # in: in a picture less wide the colour bar goes below the axes
+TIE_WEIGHT = 20  # points of the raster that one tied hypothesis counts for when a label is placed
 
 KNOWN, DEMONSTRATION, NOMINAL = "#3c3c3c", "#0072b2", "#555555"
 
 
 def picture(
-    inference: Inference,
+    inference: Ranking,
     shading: Shading,
     header: list[tuple[str, float, str]],
     width: float,
     also: Sequence[planes.Path] = (),
 ) -> Figure:
-    """Return a picture of the plane: hypotheses shaded, what is known, and trajectories.
+    """Return a picture of the plane: shaded hypotheses, known constraints and trajectories.
 
     Args:
-      inference: what to draw.
-      shading: by what.
-      header: lines above it, as text, size [pt] and colour.
+      inference: the ranking to draw.
+      shading: what the hypotheses are shaded by.
+      header: lines above the picture, as text, size [pt] and colour.
       width: of the picture [in].
-      also: paths that there is to be room for, though they are not drawn.
+      also: paths that are not drawn, but must fit into the range of the axes.
     """
     is_wide = width >= NARROW
     demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
@@ -75,25 +77,25 @@ def picture(
     _draw_nominal(axes, nominal, plane)
     _draw_demonstrations(axes, demonstrations, plane)
     _annotate(axes, inference, shading, demonstrations, plane)
-    _finish(axes, plane, wording.wrapped(" ".join(notes), width - 1.5, 7.5))
+    _finish(axes, plane, phrases.wrapped(" ".join(notes), width - 1.5, 7.5))
     if len(inference.ranking):
         draw_colour_bar(axes, shading, "right" if is_wide else "bottom")
     _legend(figure, axes, shading, is_wide)
     return figure
 
 
-def _undrawn(inference: Inference, shading: Shading, plane: Plane) -> list[tuple[str, float, str]]:
+def _undrawn(inference: Ranking, shading: Shading, plane: Plane) -> list[tuple[str, float, str]]:
     """Return a line that names the best hypothesis where it has no place on the plane."""
     for best in shading.outlined[:1].tolist():
         if not plane.outlines(inference.evidence.problem.hypotheses.constraint(best)):
-            what = f"{wording.short_hypothesis(inference, best)}, {shading.text(best)}"
+            what = f"{sentences.short_hypothesis(inference, best)}, {shading.text(best)}"
             label = shading.labels[0].capitalize()
             return [(f"{label}, but it has no place on these axes: {what}", 9.0, INK)]
     return []
 
 
 def _size(plane: Plane, width: float) -> tuple[float, float]:
-    """Return height and width [in] of axes with labels, legend and colour bar."""
+    """Return height and width [in] of the axes together with labels, legend and colour bar."""
     is_wide = width >= NARROW
     beside, below = (1.6, 1.0) if is_wide else (0.6, 1.9)
     shape = 0.6 if is_wide else 0.9
@@ -105,9 +107,9 @@ def _size(plane: Plane, width: float) -> tuple[float, float]:
 
 
 def _draw_known(axes: Axes, problem: ProblemRecord, plane: Plane) -> None:
-    """Darken the known constraints, and the states of a lattice where nobody can be.
+    """Darken the known constraints, and the walls of a lattice.
 
-    Where some actions alone are forbidden, the states are crossed.
+    Where only some actions are forbidden in states, these states are crossed instead.
     """
     known = [part for constraint in problem.known for part in constraint.parts]
     on_actions = [part for part in known if isinstance(part, StateAction)]
@@ -124,7 +126,7 @@ def _draw_known(axes: Axes, problem: ProblemRecord, plane: Plane) -> None:
 
 
 def _walls(problem: ProblemRecord) -> list[Box]:
-    """Return the states of a lattice that no action leads to or from, as squares of side 1."""
+    """Return the walls of a lattice, states that no action enters or leaves, as squares."""
     if problem.transitions is None:
         return []
     names = problem.space.names
@@ -135,6 +137,7 @@ def _walls(problem: ProblemRecord) -> list[Box]:
 
 
 def _draw_nominal(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:
+    """Draw nominal trajectories as thin lines."""
     if paths:
         lines = LineCollection([plane.pieces(path) for path in paths], rasterized=True)
         lines.set(color=NOMINAL, linewidth=0.4, alpha=0.3, label="nominal trajectories")
@@ -142,6 +145,7 @@ def _draw_nominal(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:
 
 
 def _draw_demonstrations(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:
+    """Draw demonstrations as lines, thinner the more there are, and mark their starts and ends."""
     if not paths:
         return
     weight = 1.7 if len(paths) <= 10 else 1.0 if len(paths) <= 100 else 0.5
@@ -159,12 +163,12 @@ def _draw_demonstrations(axes: Axes, paths: list[planes.Path], plane: Plane) -> 
 
 def _annotate(
     axes: Axes,
-    inference: Inference,
+    inference: Ranking,
     shading: Shading,
     demonstrations: list[planes.Path],
     plane: Plane,
 ) -> None:
-    """Write index and value beside the best hypothesis, where it covers least of the others."""
+    """Write index and value beside the best hypothesis, where the text hides least."""
     if not len(shading.outlined):
         return
     leaders = shading.outlined[:NUM_OUTLINED].tolist()
@@ -172,13 +176,13 @@ def _annotate(
     rectangles = plane.rectangles(constraint(best))
     if not len(rectangles):
         return
-    text = f"{wording.noun(inference)} {best}\n{shading.text(best)}"
+    text = f"{sentences.noun(inference)} {best}\n{shading.text(best)}"
     text = text.replace("violation ", "violation\n")
-    size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # of the axes, about
+    size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # roughly that of the axes
     label = np.array([0.05 * max(map(len, text.split("\n"))), 0.11 * (1 + text.count("\n"))]) / size
     ties = [plane.rectangles(constraint(k)).reshape(-1, 2, 2).mean(axis=2) for k in leaders]
-    busy = [*20 * ties, *(plane.pieces(path) for path in demonstrations)]
-    busy.append(_covered(inference.evidence.problem.hypotheses, plane))
+    busy = [*TIE_WEIGHT * ties, *(plane.pieces(path) for path in demonstrations)]
+    busy.append(_inside_of_list(inference.evidence.problem.hypotheses, plane))
     place, end = plane.place(rectangles, np.concatenate(busy), label)
     axes.annotate(
         text, end, place, xycoords="axes fraction", textcoords="axes fraction",
@@ -189,30 +193,35 @@ def _annotate(
     )  # fmt: skip
 
 
-def _covered(hypotheses: HypothesisSet, plane: Plane) -> np.ndarray:
-    """Return points [P, 2] of a raster that lie in constraints of a list; cells are everywhere."""
+def _inside_of_list(hypotheses: HypothesisSet, plane: Plane) -> np.ndarray:
+    """Return points [P, 2] of a raster inside the constraints of a list; none for cells.
+
+    The cells of a grid are everywhere, so a label cannot be kept off them.
+    """
     if not isinstance(hypotheses, ConstraintHypotheses):
         return np.zeros((0, 2))
     axes = [np.linspace(low, high, LABEL_RASTER) for low, high in plane.limits]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     outlines = [part for c in hypotheses.constraints[:NUM_OUTLINED] for part in plane.outlines(c)]
-    inside = [polygons.encloses(outline, *points.T) for outline in outlines]
+    inside = [polygon_geometry.encloses(outline, *points.T) for outline in outlines]
     return points[np.any(inside, axis=0)] if inside else points[:0]
 
 
 def _finish(axes: Axes, plane: Plane, notes: str) -> None:
+    """Set range and labels of the axes, and write notes above them."""
     axes.set(xlim=plane.limits[0], ylim=plane.limits[1])
     x, y = plane.labels
     axes.set_xlabel(x, fontsize=9, parse_math=False)
     axes.set_ylabel(y, fontsize=9, parse_math=False)
     axes.set_title(notes, fontsize=7.5, color=FAINT, loc="left", parse_math=False)
     axes.tick_params(labelsize=8)
-    axes.set_axisbelow(False)  # marks of the axes are seen where an outline runs along an edge
+    axes.set_axisbelow(False)  # an outline along an edge does not hide the marks of the axes
     if plane.is_map:
         axes.set_aspect("equal")
 
 
 def _legend(figure: Figure, axes: Axes, shading: Shading, is_wide: bool) -> None:
+    """Write the legend below the axes, each label once."""
     unique: dict[str, Any] = {}
     if shading.none is not None:
         value, label = shading.none

@@ -1,12 +1,13 @@
-"""Hypotheses shaded by a number each, on a plane of two states, or one state and time.
+"""Shade each hypothesis by one number, on a plane of two states, or of one state and time.
 
     colour = value of a hypothesis,    hatch = struck out,    outline = a chosen few
 
-On a grid a cell is shaded, and where a plane shows two states of several, the best of the cells
-that lie behind it; constraints of a list are drawn one over another, the best on top. Where some
-actions alone are forbidden in some states, these are crossed and not filled: being there is free.
+Hypotheses of a grid are shaded cell by cell; where the grid has more than two states, each place
+shows the best of the cells behind it. Constraints of a list are drawn one over another, the best on
+top. Where only some actions are forbidden in states, these states are crossed, not filled: being
+there is allowed.
 
-Shapes: H hypotheses, F hypotheses of a grid, V corners of a polygon.
+Shapes: H hypotheses, F cells of a grid, V corners of a polygon.
 """
 
 from __future__ import annotations
@@ -25,27 +26,28 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke
 
+from swerve.base import phrases
 from swerve.base.figure_style import INK
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.hypotheses.windows import WindowHypotheses
 from swerve.presentation import plane as planes
-from swerve.presentation import sentences as wording
 from swerve.presentation.plane import Plane
 
-NUM_OUTLINED = 100  # hypotheses that are outlined
-MAX_RULED = 40  # cells a side up to which the lines of a grid are drawn
-DASHES = {"dash_offset": 0, "dash_list": [3, 3]}
+NUM_OUTLINED = 100  # hypotheses outlined at most: more would hide the picture
+MAX_RULED = 40  # cells a side up to which a grid has lines between its cells
+DASHES = {"dash_offset": 0, "dash_list": [3, 3]}  # pt
 
-MAX_ACTIONS = 3  # sets of forbidden actions that the legend names
+MAX_ACTIONS = 3  # sets of forbidden actions up to which the legend names each of them
+# marks of the colour bar; the lower ones of a linear scale would lie on one another
 PROBABILITIES = {0.0: "0", 1e-3: "0.1 %", 0.01: "1 %", 0.1: "10 %", 0.3: "30 %", 1.0: "100 %"}
 
 STRUCK_OUT, HATCH = "#f3f3f3", "#b4b4b4"
 
 
 def _colour_map() -> LinearSegmentedColormap:
-    """Return magma from light to dark, with the yellow of its light end bleached: 0 is quiet."""
+    """Return magma from light to dark, its yellow end bleached, so that 0 catches no eye."""
     share = np.linspace(0.0, 1.0, 256)[:, None]
     bleach = 0.9 * np.clip(1.0 - share / 0.3, 0.0, 1.0)
     magma = mpl.colormaps["magma_r"](0.85 * share[:, 0])[:, :3]
@@ -57,26 +59,26 @@ COLOURS = _colour_map()
 
 
 def of_probability() -> PowerNorm:
-    """Return the scale of probabilities: p^(1/3) from 0 to 1, whatever the highest is.
+    """Return the colour scale of probabilities: p^(1/3) from 0 to 1.
 
-    A colour means the same in every picture and certainty alone is darkest, yet hundreds of
-    hypotheses of less than a percent each can be told apart.
+    The scale never adapts to the highest probability, so a colour means the same in every picture
+    and only certainty is darkest. The root keeps hypotheses of less than 1 % each apart.
     """
     return PowerNorm(1.0 / 3.0, 0.0, 1.0)
 
 
 class Shading(NamedTuple):
-    """What a picture shows of hypotheses.
+    """What a picture shows of the hypotheses.
 
     Attributes:
-      values: [H] what they are shaded by; -inf where struck out.
-      norm: of the colours.
+      values: [H] the numbers that the hypotheses are shaded by; -inf where struck out.
+      norm: scale from values to colours.
       label: of the colour bar.
-      outlined: hypotheses with an outline, the first one heavily.
-      labels: of the first one, and of the others.
-      text: says the value of a hypothesis.
-      is_set: whether those outlined are one answer together.
-      none: value of no constraint and what the legend says of it; None for nothing.
+      outlined: indices of the hypotheses with an outline; the first has a heavy one.
+      labels: legend of the first outlined hypothesis, and of the others.
+      text: returns the value of a hypothesis in words.
+      is_set: whether the outlined hypotheses are one answer together.
+      none: value of no constraint and its legend; None to leave no constraint out of the legend.
     """
 
     values: np.ndarray
@@ -90,12 +92,12 @@ class Shading(NamedTuple):
 
 
 def draw_values(axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: Plane) -> list[str]:
-    """Shade the hypotheses that are left, hatch those struck out; return notes for the reader."""
+    """Shade the hypotheses left, hatch those struck out, and return notes for the reader."""
     cells = _cells(hypotheses, shading.values)
     if cells is not None:
         struck_out, notes = _draw_grid(axes, *cells, shading, plane)
         if isinstance(hypotheses, WindowHypotheses):
-            notes.append("Each point shows the best of the windows that cover it.")
+            notes.append("Each point shows the best of the windows around it.")
     else:
         struck_out, notes = _draw_list(axes, hypotheses, shading, plane)
     if len(struck_out):
@@ -103,7 +105,7 @@ def draw_values(axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: 
         patch = patch_of(
             struck_out, facecolor=STRUCK_OUT, edgecolor=HATCH, hatch="////", label=label
         )
-        patch.set(linewidth=0, hatch_linewidth=0.6, zorder=0.9)  # below what is left
+        patch.set(linewidth=0, hatch_linewidth=0.6, zorder=0.9)  # below the hypotheses left
         axes.add_patch(patch)
     return notes
 
@@ -111,9 +113,9 @@ def draw_values(axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: 
 def draw_outlined(
     axes: Axes, hypotheses: HypothesisSet, shading: Shading, plane: Plane
 ) -> list[str]:
-    """Outline some hypotheses, the best one heavily and on top.
+    """Outline the chosen hypotheses, the best heavily and on top, and return notes for the reader.
 
-    Many that overlap, or that are a set rather than each its own answer, have one outline together.
+    Windows, which overlap, and cells that are one answer together have one outline around them all.
     """
     together = np.full(len(hypotheses), -np.inf)
     together[shading.outlined] = 0.0
@@ -143,7 +145,7 @@ def draw_outlined(
 
 
 def _draw_region(axes: Axes, image: np.ndarray, x: np.ndarray, y: np.ndarray, label: str) -> None:
-    """Outline the cells of an image that are not -inf, along their common edge."""
+    """Outline the cells of an image that are not -inf, along the edge of the region they form."""
     inside = np.pad(np.isfinite(image), 1)
     row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
     upright = [[(x[c], y[r]), (x[c], y[r + 1])] for r, c in zip(row, column, strict=True)]
@@ -166,7 +168,7 @@ def _draw_grid(
     cells = np.ma.masked_array(image, is_out)
     axes.pcolormesh(x, y, cells, cmap=COLOURS, norm=shading.norm, rasterized=not few, **ruled)
     others = ", ".join(grid.state_names[2:])
-    note = f"Each cell shows the best of its cells along {others}; hatched where none is left."
+    note = f"Each place shows the best of the cells along {others}; hatched where no cell is left."
     return list(planes.corners(planes.runs(is_out, x, y))), [note] if others else []
 
 
@@ -187,21 +189,26 @@ def _draw_list(
             else:
                 left += outlines
                 shades += [shading.values[index]] * len(outlines)
-    drawn = PolyCollection(left, cmap=COLOURS, norm=shading.norm)
-    drawn.set(array=np.array(shades), edgecolor="face", linewidth=0.3)
-    axes.add_collection(drawn, autolim=False)
+    polygons = PolyCollection(left, cmap=COLOURS, norm=shading.norm)
+    polygons.set(array=np.array(shades), edgecolor="face", linewidth=0.3)
+    axes.add_collection(polygons, autolim=False)
     _draw_crossed(axes, crossed)
-    num = wording.counted(skipped, "hypothesis")
-    note = f"Not drawn: {num} outside this picture or not of its states."
+    num = phrases.counted(skipped, "hypothesis")
+    note = f"Not drawn: {num} outside this picture or about other states."
     return struck_out, [note] if skipped else []
 
 
 def _draw_crossed(axes: Axes, crossed: list[tuple[str, list[np.ndarray], Any]]) -> None:
-    """Cross states, as (actions forbidden in them, outlines, colour), the last ones on top."""
+    """Cross states where actions are forbidden, the last on top.
+
+    Args:
+      axes: to draw on.
+      crossed: (name of the forbidden actions, outlines of the states, colour).
+    """
     is_short = len({actions for actions, _, _ in crossed}) <= MAX_ACTIONS
     for actions, outlines, colour in crossed:
-        label = wording.cut(actions, 30) if is_short else "some actions"
-        patch = patch_of(outlines, facecolor="none", label=f"{label} forbidden in")
+        label = phrases.cut(actions, 30) if is_short else "some actions"
+        patch = patch_of(outlines, facecolor="none", label=f"{label} forbidden here")
         patch.set(edgecolor=colour, linewidth=1.2, hatch="xx", hatch_linewidth=2.0, zorder=1.1)
         patch.set(path_effects=[Stroke(linewidth=2.6, foreground=INK), Normal()])
         axes.add_patch(patch)
@@ -219,7 +226,7 @@ def _cells(
 def _image(
     grid: GridHypotheses, values: np.ndarray, plane: Plane
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the best of the values [F] at each place of the plane, and the lines between."""
+    """Return the best of the values [F] at each place, and the x and y of the lines between."""
     score = values.reshape(grid.shape)
     image = score.max(axis=tuple(range(2, score.ndim))).T if score.ndim > 1 else score[:, None]
     edges = [np.linspace(low, high, count + 1) for low, high, count in grid.axes.values()][:2]

@@ -1,4 +1,4 @@
-"""An inference, and what is picked from it, as text and as JSON data, row by row.
+"""List an inference, and the picks of greedy selection, as text and as JSON data, row by row.
 
 Shapes: K tasks, H hypotheses.
 """
@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swerve.inference.likelihood import THRESHOLD
-from swerve.inference.ranking import Inference
+from swerve.inference.ranking import Ranking
+from swerve.presentation import sentences
+from swerve.trust import doubts, verdicts
 
 if TYPE_CHECKING:
     from swerve.inference.greedy import Pick
     from swerve.inference.posterior import Posterior
 
 
-def table(inference: Inference, num_rows: int) -> str:
+def table(inference: Ranking, num_rows: int) -> str:
     """Return the head of the ranking as text."""
     columns = f"{'nats':>8} {'+-':>6}  {'posterior':>9}  {'violated':>8}"
     lines = [f"{'rank':>5} {'index':>6}  {columns}  hypothesis"]
@@ -38,16 +40,16 @@ def table(inference: Inference, num_rows: int) -> str:
     return "\n".join(lines)
 
 
-def to_json(inference: Inference) -> dict[str, Any]:
+def to_json(inference: Ranking) -> dict[str, Any]:
     """Return the ranking, best first, the posterior and diagnostics of each task used.
 
-    What belongs to the posterior is null where everything that the prior allows is ruled out.
+    Values of the posterior are null where every answer that the prior allows is ruled out.
     """
     evidence = inference.evidence
     posterior = None if inference.is_ruled_out else inference.posterior
     tasks = inference.task_of if inference.demonstrations else range(evidence.num_tasks)
     return {
-        "headline": inference.headline,
+        "headline": sentences.sentence(inference),
         "problem": evidence.problem.summary,
         "score": inference.score_name,
         "tolerance": inference.tolerance,
@@ -69,17 +71,23 @@ def to_json(inference: Inference) -> dict[str, Any]:
             for index, rank in zip(inference.ranking, inference.rank, strict=True)
         ],
         "struck_out": _struck_out(inference),
-        "warnings": list(inference.warnings),
+        "warnings": list(doubts.warnings(inference)),
         "diagnostics": [_task_diagnostics(inference, int(k)) for k in dict.fromkeys(tasks)],
     }
 
 
-def picks_table(inference: Inference, picks: Sequence[Pick], most: int) -> str:
-    """Return what greedy selection picked, at most so many, in order, and why it ended, as text."""
-    enough = f"{THRESHOLD:g} nats a demonstration, the least to be picked"
+def picks_table(inference: Ranking, picks: Sequence[Pick], most: int) -> str:
+    """Return the picks of greedy selection in order, and why it ended, as text.
+
+    Args:
+      inference: the ranking from which the constraints were picked.
+      picks: the result of `swerve.greedy`.
+      most: the most picks that were asked for.
+    """
+    enough = f"{THRESHOLD:g} nats per demonstration, the least gain of a pick"
     if not picks:
         return f"no constraint explains {enough}"
-    columns = f"{'nats':>8} {'a demo':>8} {'+-':>6}  {'log odds':>8}"
+    columns = f"{'nats':>8} {'per demo':>8} {'+-':>6}  {'log odds':>8}"
     lines = [f"{'pick':>5} {'index':>6}  {columns}  hypothesis"]
     for number, pick in enumerate(picks, 1):
         lines.append(
@@ -88,12 +96,14 @@ def picks_table(inference: Inference, picks: Sequence[Pick], most: int) -> str:
             f"{inference.hypothesis_name(pick.hypothesis)}"
         )
     ended = f"as many as asked for: {most}"
-    lines.append(f"      {ended if len(picks) == most else f'no other explains {enough}'}")
+    lines.append(
+        f"      {ended if len(picks) == most else f'no other constraint explains {enough}'}"
+    )
     return "\n".join(lines)
 
 
-def picks_to_json(inference: Inference, picks: Sequence[Pick]) -> list[dict[str, Any]]:
-    """Return what greedy selection picked, in order; null where a number is infinite."""
+def picks_to_json(inference: Ranking, picks: Sequence[Pick]) -> list[dict[str, Any]]:
+    """Return the picks of greedy selection in order; infinite numbers become null."""
     return [
         {
             "index": pick.hypothesis,
@@ -108,10 +118,12 @@ def picks_to_json(inference: Inference, picks: Sequence[Pick]) -> list[dict[str,
 
 
 def _finite(value: float) -> float | None:
+    """Return a number, or None where it is infinite or NaN: JSON has neither."""
     return value if math.isfinite(value) else None
 
 
-def _none(inference: Inference, posterior: Posterior | None) -> dict[str, Any]:
+def _none(inference: Ranking, posterior: Posterior | None) -> dict[str, Any]:
+    """Return how probable no constraint is, and the evidence against it."""
     return {
         "prior": float(inference.prior[0]),
         "posterior": posterior and posterior.none,
@@ -121,7 +133,8 @@ def _none(inference: Inference, posterior: Posterior | None) -> dict[str, Any]:
     }
 
 
-def _credible_set(inference: Inference) -> dict[str, Any]:
+def _credible_set(inference: Ranking) -> dict[str, Any]:
+    """Return the answers of the 95 % credible set and their probability together."""
     credible = inference.credible_set()
     return {
         "has_none": credible.has_none,
@@ -130,7 +143,8 @@ def _credible_set(inference: Inference) -> dict[str, Any]:
     }
 
 
-def _struck_out(inference: Inference) -> list[dict[str, Any]]:
+def _struck_out(inference: Ranking) -> list[dict[str, Any]]:
+    """Return the hypotheses struck out, and the demonstrations that enter each of them."""
     against = inference.entered & inference.is_counted[inference.task_of]
     return [
         {
@@ -145,7 +159,8 @@ def _struck_out(inference: Inference) -> list[dict[str, Any]]:
     ]
 
 
-def _task_diagnostics(inference: Inference, task: int) -> dict[str, Any]:
+def _task_diagnostics(inference: Ranking, task: int) -> dict[str, Any]:
+    """Return how well a task was sampled, and the verdict on its samples."""
     evidence = inference.evidence
     return {
         "task": task,
@@ -160,5 +175,5 @@ def _task_diagnostics(inference: Inference, task: int) -> dict[str, Any]:
         "kl": float(evidence.kl[task]),
         "island_spread": float(evidence.island_spread[task]),
         "distinct_share": float(evidence.distinct_share[task]),
-        "verdict": inference.verdict(task),
+        "verdict": verdicts.verdict(inference, task),
     }

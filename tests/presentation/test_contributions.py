@@ -1,4 +1,4 @@
-"""Pictures of what is believed: what is drawn is what the inference holds."""
+"""The picture of contributions: its bars are those of the inference."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from support.synthetic import make_demonstration, make_evidence
 
 from swerve import infer, plot_contributions
-from swerve.inference.ranking import Inference
+from swerve.answer import Inference
 
 
 def from_demonstrations(tolerance: float, num: int = 6) -> Inference:
@@ -66,7 +66,10 @@ class TestContributions:
     def test_of_many_those_that_say_most(self) -> None:
         figure = plot_contributions(from_demonstrations(tolerance=0.0, num=60), 2)
         assert len(figure.axes[0].patches) == 40
-        assert figure.axes[0].get_title() == "21 that say no more are not drawn"
+        assert (
+            figure.axes[0].get_title()
+            == "The 40 demonstrations that say most are drawn, 21 are not"
+        )
         assert any(label.get_text() == "stray" for label in figure.axes[0].get_yticklabels())
 
     def test_bad_input(self) -> None:
