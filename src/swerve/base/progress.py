@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Advance = Callable[..., None]
-"""Call with the amount of work done since the last call, and a `note` to show beside the bar."""
+"""A function to call with the amount of work done since the last call; `note` shows a text."""
 
 
 @contextmanager
@@ -14,7 +14,7 @@ def progress_bar(description: str, total: float, enabled: bool) -> Iterator[Adva
     """Show a bar while the block runs.
 
     Args:
-      description: what is being done.
+      description: of the work, shown before the bar.
       total: amount of work, in any unit.
       enabled: False shows nothing.
 

@@ -1,11 +1,11 @@
-"""What is known of a state space without running its dynamics: names, angles, bounds.
+"""State spaces, tasks and actions as plain data: names, angles, bounds, transitions.
 
 An angle theta stands for theta + 2 pi k, so the difference between two angles is the shorter arc,
 
     difference(a, b) = d - 2 pi round(d / (2 pi)),    d = b - a,
 
-and a straight segment between two states follows it. Everything here works alike on NumPy and
-JAX arrays, and imports neither JAX nor anything of Swerve.
+and a straight segment between two states follows that arc. Everything here works alike on NumPy
+and JAX arrays, and imports neither JAX nor any other module of Swerve.
 
 Shapes: n state dimensions, ... any batch dimensions.
 """
@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 TWO_PI = 2.0 * math.pi
-LATTICE_EXTENT = 250.0
-MAX_HALF_EXTENTS = 10
-MAX_TURNS = 10
+LATTICE_EXTENT = 250.0  # whole numbers; see `StateSpace.unit`
+MAX_HALF_EXTENTS = 10  # from the middle of the bounds to a state: a larger number has another unit
+MAX_TURNS = 10  # of an angle: a larger number is in degrees
 
 
 class Task(NamedTuple):
@@ -31,7 +31,7 @@ class Task(NamedTuple):
 
     Attributes:
       start: [..., n] state at t = 0.
-      goal: [..., g] what the reward is told to reach; often a state, then g = n.
+      goal: [..., g] the goal of the reward; often a state, then g = n.
     """
 
     start: Any
@@ -52,10 +52,10 @@ class Task(NamedTuple):
 
 
 class Actions(NamedTuple):
-    """Actions and what their components are called.
+    """Actions and the names of their components.
 
     Attributes:
-      names: the m names.
+      names: of the m components.
       values: [..., m]; NaN where a trajectory has ended.
     """
 
@@ -64,11 +64,12 @@ class Actions(NamedTuple):
 
 
 class Transitions(NamedTuple):
-    """Which state follows which, where there are finitely many.
+    """The successor of each state and action, where there are finitely many.
 
     Attributes:
-      shape: number of values of each component of a state; the first varies fastest.
-      successors: [S, A] numbers of the states that actions lead to, negative where not offered.
+      shape: number of values of each component of a state; the first component varies fastest.
+      successors: [S, A] the number of the next state; negative where a state does not offer the
+        action.
       actions: [A, m].
     """
 
@@ -78,33 +79,33 @@ class Transitions(NamedTuple):
 
     @property
     def isolated(self) -> np.ndarray:
-        """[U, n] the states, such as walls, to which no action leads and where none is offered."""
+        """[U, n] the states, such as walls, that no action leads to and that offer no action."""
         alone = np.flatnonzero((self.successors < 0).all(axis=1))
         alone = alone[~np.isin(alone, self.successors)]
         index = np.unravel_index(alone, self.shape, order="F")
         return np.stack(index, axis=-1).astype(float)
 
     def number(self, states: Any) -> Any:
-        """Return the number [...] of the states nearest to [..., n], NumPy or JAX."""
+        """Return the number [...] of the state nearest to each of [..., n], NumPy or JAX."""
         return lattice_number(states, self.shape)
 
     def action_number(self, actions: Any) -> Any:
-        """Return the number [...] of the actions nearest to [..., m], NumPy or JAX."""
+        """Return the number [...] of the action nearest to each of [..., m], NumPy or JAX."""
         return nearest(actions, self.actions)
 
     def fits(self, states: np.ndarray) -> np.ndarray:
-        """Return which actions [L-1, A] make the steps of states [L, n]."""
+        """Return [L-1, A] True where an action makes the step between two of the states [L, n]."""
         number = self.number(states)
         return np.asarray(self.successors[number[:-1]] == number[1:, None])
 
     def rests(self, states: np.ndarray) -> np.ndarray:
-        """Return which steps [L-1] of states [L, n] are none: staying in the last, once there."""
+        """Return [L-1] True where a step of states [L, n] stays in the last state to the end."""
         number = self.number(states)
         return np.logical_and.accumulate((number == number[-1])[::-1])[::-1][:-1]
 
 
 def lattice_number(states: Any, shape: Sequence[int]) -> Any:
-    """Return the number [...] of the lattice points nearest to [..., n], NumPy or JAX."""
+    """Return the number [...] of the lattice point nearest to each of [..., n], NumPy or JAX."""
     xp = states.__array_namespace__()
     index, stride = 0, 1
     for component, size in enumerate(shape):
@@ -115,13 +116,13 @@ def lattice_number(states: Any, shape: Sequence[int]) -> Any:
 
 
 def nearest(values: Any, table: Any) -> Any:
-    """Return the number [...] of the row of a table [A, m] nearest to [..., m], NumPy or JAX."""
+    """Return the number [...] of the row of a table [A, m] nearest to each of [..., m]."""
     xp = values.__array_namespace__()
     return ((values[..., None, :] - xp.asarray(table)) ** 2).sum(axis=-1).argmin(axis=-1)
 
 
 def is_full_turn(low: float, high: float) -> bool:
-    """Return whether an interval of an angle goes all the way round, and so has no ends."""
+    """Return whether an interval of an angle is a full turn, which has no ends."""
     return high - low > TWO_PI * (1 - 1e-9)
 
 
@@ -130,8 +131,8 @@ class StateSpace:
     """Names, angles and bounds of the states of an MDP.
 
     Attributes:
-      names: the n state names, each its own, also the columns of demonstration files.
-      angles: those of the names that wrap at 2 pi [rad].
+      names: of the n states, all different; also the columns of demonstration files.
+      angles: the names of states that wrap at 2 pi [rad].
       bounds: [n, 2] where states are expected, in the states' own units.
       is_lattice: whether states are whole numbers.
     """
@@ -172,15 +173,16 @@ class StateSpace:
 
     @cached_property
     def unit(self) -> np.ndarray:
-        """[n] what distances between states are told in: the extent.
+        """[n] the unit of relative distances between states: the extent.
 
-        On a lattice at most LATTICE_EXTENT, so that a thousandth tells neighbours apart.
+        On a lattice the unit is at most LATTICE_EXTENT, so that a tolerance of a thousandth is less
+        than the distance between neighbours.
         """
         return np.minimum(self.extent, LATTICE_EXTENT) if self.is_lattice else self.extent
 
     @cached_property
     def believable(self) -> np.ndarray:
-        """[2, n] the least and largest number that can be a state: any further is another unit."""
+        """[2, n] the least and largest believable state: numbers beyond have another unit."""
         centre = np.where(self.is_angle, 0.0, self.bounds.mean(axis=1))
         reach = np.where(self.is_angle, MAX_TURNS * TWO_PI, MAX_HALF_EXTENTS * self.extent / 2)
         return np.stack([centre - reach, centre + reach])
@@ -189,7 +191,7 @@ class StateSpace:
         """Return the index of a state name.
 
         Raises:
-          ValueError: if there is no state of that name.
+          ValueError: if no state has the name.
         """
         if name not in self.names:
             raise ValueError(f"no state named {name!r}; the states are {', '.join(self.names)}")
@@ -203,7 +205,7 @@ class StateSpace:
         return cast(Any, xp.where(self.is_angle, wrapped, delta))
 
     def relative_distance(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the largest difference [...] between states, each in its `unit`."""
+        """Return the largest difference [...] between components of states, in their `unit`."""
         return (np.abs(self.difference(a, b)) / self.unit).max(axis=-1)
 
     def to_json(self) -> dict[str, Any]:

@@ -1,10 +1,10 @@
 """Trajectories that go on from any state at any step under a nominal policy.
 
-Each has the log-weight of what is left of it, relative to what the policy takes for its value,
+The rest of a trajectory from step t on has a log-weight relative to the policy's value,
 
     l = sum_{k >= t} (beta r + log m - log pi) - V_t(s_t),
 
-0 for the exact V and its policy. A policy without a value is taken as it is: l = 0.
+which is 0 for the exact V and its policy. For a policy without a value l = 0, as if it were exact.
 
 Shapes: N trajectories, T steps, n state dimensions, g goal dimensions.
 """
@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from swerve.problem.problem import Problem
 from swerve.simulation.policies import ValuedPolicy, log_measure
-from swerve.simulation.trajectory import Policy, draw_action, take_step
+from swerve.simulation.trajectory import Policy, sample_action, take_step
 
 
 class Continuation(NamedTuple):
@@ -29,7 +29,7 @@ class Continuation(NamedTuple):
 
     Attributes:
       states: [T+1, n, N].
-      log_weight: [T+1, N] l of what is left from each step on, nats; -inf where that enters a
+      log_weight: [T+1, N] l of the rest from each step on, nats; -inf where the rest enters a
         known constraint.
     """
 
@@ -50,10 +50,10 @@ def continued(
 
     Args:
       problem: the MDP, beta, the measure and the known constraints.
-      policy: of the goal.
-      starts: where trajectories are.
-      first: t, the step at which they are there; all at the same one.
-      goal: of all.
+      policy: for the goal.
+      starts: states from which trajectories go on.
+      first: t, the step at which all trajectories go on.
+      goal: of all trajectories.
       key: source of randomness.
     """
     num_steps, num = problem.mdp.num_steps, starts.shape[1]
@@ -86,13 +86,18 @@ def _advance(
     goal: Array,
     uniform: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """Take one step, none where it has ended; return what it gains and what V was before, nats."""
+    """Take one step unless the trajectory has ended.
+
+    Returns:
+      The next state, whether the trajectory has ended, the step's beta r + log m - log pi [nats],
+      and V before the step [nats].
+    """
     if isinstance(policy, ValuedPolicy):
         (log_probabilities, value), beta = policy.propose(state, step, goal), policy.beta
     else:
         log_probabilities, value = policy(state, step, goal), jnp.zeros(())
         beta = problem.beta
-    action, log_probability = draw_action(log_probabilities, uniform)
+    action, log_probability = sample_action(log_probabilities, uniform)
     taken = take_step(problem, state, action, step, goal)
     forbidden = jnp.isneginf(taken.reward)
     gain = beta * jnp.where(forbidden, 0.0, taken.reward) - log_measure(problem) - log_probability

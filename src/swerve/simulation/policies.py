@@ -1,11 +1,11 @@
-"""Policies that know what to expect, and those that look one step ahead with a soft value.
+"""Policies with a soft value, and policies that look one step ahead with a soft value.
 
-With the value V of where each action leads, r_T in place of V where the episode ends,
+With the value V of the state that each action leads to, or r_T where the episode ends,
 
     Q_t(s, a) = beta r(s, a, s') + V_{t+1}(s'),     pi(a | s, t) = exp Q_t(s, a) / sum_a exp Q_t,
     (B V)_t(s) = log mean_a exp Q_t(s, a)           (log sum for the counting measure),
 
-so that along a path that pi draws
+so that along a path sampled from pi
 
     sum_t [beta r + log m - log pi] + V(s_end) - V(s_0) = sum_t [(B V)_t(s_t) - V_t(s_t)]:
 
@@ -27,12 +27,12 @@ from jaxtyping import Array, Float, Int
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import take_step
 
-FORBIDDEN = -1e9  # nats; finite, so that a state without a way out still has a policy
-LOWEST = -1e4  # nats: lower values are not told apart; sums in float32 would lose their digits
+FORBIDDEN = -1e9  # nats, of forbidden actions; finite, for states that have no other action
+LOWEST = -1e4  # nats, of values: sums of lower values in float32 would lose their digits
 
 
 class ValuedPolicy(eqx.Module):
-    """A policy with a soft value: what sequential Monte Carlo needs.
+    """A policy with a soft value, as sequential Monte Carlo needs.
 
     Attributes:
       problem: the MDP, beta, the measure and the known constraints.
@@ -42,14 +42,14 @@ class ValuedPolicy(eqx.Module):
 
     @property
     def beta(self) -> float | Float[Array, ""]:
-        """Inverse temperature that it is for: the problem's."""
+        """Inverse temperature of the policy: that of the problem unless overridden."""
         return self.problem.beta
 
     @abc.abstractmethod
     def propose(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
-        """Return log pi(a | s, t) of every action, and what it takes for V_t(s) [nats]."""
+        """Return log pi(a | s, t) of every action, and the policy's estimate of V_t(s) [nats]."""
 
     def __call__(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -60,12 +60,12 @@ class ValuedPolicy(eqx.Module):
     def soft_value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, ""]:
-        """Return what the policy takes for V_t(s), nats; that of a start is log Z_0 of the task."""
+        """Return the policy's estimate of V_t(s), nats; at a start V is log Z_0 of the task."""
         return self.propose(state, step, goal)[1]
 
 
 class LookAhead(ValuedPolicy):
-    """The look-ahead policy of a soft value, with (B V)_t(s); subclasses provide V."""
+    """The policy that looks one step ahead with a soft value V, which subclasses provide."""
 
     problem: eqx.AbstractVar[Problem]
 
@@ -73,12 +73,12 @@ class LookAhead(ValuedPolicy):
     def value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, ""]:
-        """Return V_t(s) [nats] of a state where the episode goes on."""
+        """Return V_t(s) [nats] of a state in which the episode has not ended."""
 
     def action_values(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, " A"]:
-        """Return Q_t(s, a) for every action [nats], FORBIDDEN where it is not allowed."""
+        """Return Q_t(s, a) for every action [nats], FORBIDDEN where the action is not allowed."""
         problem = self.problem
 
         def look(action: Array) -> Array:
@@ -105,5 +105,5 @@ class LookAhead(ValuedPolicy):
 
 
 def log_measure(problem: Problem) -> float:
-    """Return what the base measure takes off each step's log-sum: log A if uniform, else 0."""
+    """Return -log m of each step under the base measure: log A if uniform, else 0."""
     return math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0

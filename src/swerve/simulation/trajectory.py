@@ -2,9 +2,9 @@
 
     log pi(xi) = sum_t log pi(a_t | s_t, t),    R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L).
 
-An action is drawn from one uniform number by inverting the cumulative distribution, and the
-log-probability stored is that of the action executed. The batch is the LAST axis of every array
-inside the scan, so that a network's weights multiply [features, batch] matrices.
+An action is sampled from one uniform number by inverting the cumulative distribution; the stored
+log-probability is that of the executed action. The batch is the LAST axis of every array inside the
+scan, so that a network's weights multiply [features, batch] matrices.
 
 Shapes: N trajectories, T steps, n state dimensions, A actions, g goal dimensions.
 """
@@ -30,11 +30,11 @@ Policy = Callable[[Array, Array, Array], Array]
 
 
 class Trajectory(NamedTuple):
-    """Trajectories of a batch; after its end a trajectory repeats its last state.
+    """A batch of trajectories; after its end a trajectory repeats its last state.
 
     Attributes:
       states: [T+1, n, N].
-      actions: [T, N] index of the action executed.
+      actions: [T, N] index of the executed action.
       total_reward: [N] R(xi); -inf where a known constraint was entered.
       log_probability: [N] log pi(xi), nats.
       length: [N] steps taken.
@@ -48,7 +48,7 @@ class Trajectory(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What one action leads to.
+    """The outcome of one action.
 
     Attributes:
       state: [n] the next state.
@@ -77,7 +77,16 @@ def enters(
     between_states: bool,
     action: Float[Array, " m"] | None = None,
 ) -> Bool[Array, ""]:
-    """Return whether a step, by an action if one is given, enters one of the known constraints."""
+    """Return whether a step enters one of the known constraints, see `step_enters`.
+
+    Args:
+      known: the known constraints.
+      state: in which the step begins.
+      next_state: in which the step ends.
+      mdp: that the states and actions are of.
+      between_states: whether the segment between the states counts as well.
+      action: of the step; without it the states alone are judged.
+    """
     taken = None if action is None else Actions(tuple(mdp.action_names), action)
     hit = jnp.zeros((), bool)
     for constraint in known:
@@ -88,7 +97,7 @@ def enters(
 def take_step(
     problem: Problem, state: Float[Array, " n"], action: Any, step: Any, goal: Float[Array, " g"]
 ) -> Step:
-    """Take one action (its index) in a state at step t."""
+    """Take one action, given by its index, in a state at step t."""
     mdp = problem.mdp
     torque = mdp.actions[action]
     next_state = mdp.dynamics(state, torque)
@@ -99,13 +108,13 @@ def take_step(
     return Step(next_state, jnp.where(forbidden, -jnp.inf, reward), ended | forbidden)
 
 
-def draw_action(
+def sample_action(
     log_probabilities: Float[Array, " A"], uniform: Float[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-    """Draw an action from one uniform number in [0, 1); return (index, its log-probability).
+    """Sample an action from one uniform number in [0, 1); return (index, its log-probability).
 
-    An action of probability zero is never drawn: the last positive step of the cumulative sum
-    lies above `uniform` times the total whatever the rounding.
+    An action of probability zero is never sampled: the last positive step of the cumulative sum
+    lies above `uniform` times the total, whatever the rounding.
     """
     cumulative = jnp.cumsum(jnp.exp(log_probabilities))
     action = jnp.sum(uniform * cumulative[-1] >= cumulative[:-1])
@@ -121,13 +130,13 @@ def rollout(
     key: Key[Array, ""],
     num_trajectories: int,
 ) -> Trajectory:
-    """Roll out a batch of trajectories, of one task or of a task each.
+    """Roll out a batch of trajectories, all of one task or each of its own task.
 
     Args:
       problem: the MDP and known constraints.
       policy: log-probabilities of the actions for one state.
-      start: [n] where all start, or [n, N].
-      goal: [g] the goal of all, or [g, N].
+      start: [n] the start of all trajectories, or [n, N].
+      goal: [g] the goal of all trajectories, or [g, N].
       key: source of randomness.
       num_trajectories: N, static.
 
@@ -166,8 +175,8 @@ def rollout(
 def _advance(
     problem: Problem, policy: Policy, carry: _Carry, goal: Array, step: Array, uniform: Array
 ) -> tuple[_Carry, tuple[Array, Array]]:
-    """Take one step of one trajectory, none where it has ended; return its state and action."""
-    action, log_probability = draw_action(policy(carry.state, step, goal), uniform)
+    """Take one step of one trajectory unless it has ended; return its state and action."""
+    action, log_probability = sample_action(policy(carry.state, step, goal), uniform)
     taken = take_step(problem, carry.state, action, step, goal)
     active = ~carry.ended
     state = jnp.where(active, taken.state, carry.state)

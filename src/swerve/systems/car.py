@@ -1,4 +1,4 @@
-"""The car of the paper, section V: a unicycle on a straight track that swerves.
+"""The car of the paper, section V: a unicycle that swerves on a straight track.
 
     x' = v sin(psi),   y' = v cos(psi),   psi' = turn rate,   v' = acceleration,
 
@@ -26,17 +26,17 @@ NUM_LANES, NUM_ROWS = 2, 14
 TURN_RATES = (-0.5, 0.0, 0.5)  # rad/s
 ACCELERATIONS = (-1.0, 0.0, 1.0)  # m/s2
 CENTRE_WEIGHT, PROGRESS_WEIGHT, END_REWARD = 100.0, 0.05, 100.0
-START_SPREAD = (0.1, 0.1, 0.1, 0.3)  # half of the ranges around (0, 0, 0, 1) of starts
+START_SPREAD = (0.1, 0.1, 0.1, 0.3)  # half widths of the range of starts around (0, 0, 0, 1)
 
 
 class Car(MDP):
-    """A car with state (x, y, heading, speed) that is to cross the goal line y = 8.5 m.
+    """A car with state (x, y, heading, speed) whose task is to cross the goal line y = 8.5 m.
 
-    The task is the same for all starts, so a goal has no components.
+    The goal line is the same for all starts, so a goal has no components.
 
     Attributes:
       dt: duration of a step [s].
-      num_steps: T, at most.
+      num_steps: T, the most steps.
     """
 
     dt: float = eqx.field(default=0.05, static=True)
@@ -88,7 +88,7 @@ class Car(MDP):
     def features(
         self, state: Float[Array, "4"], step: Int[Array, ""], goal: Float[Array, "0"]
     ) -> Float[Array, "13"]:
-        """Return smooth features, among them how near the edges are, and how soon."""
+        """Return smooth features, among them the distances to the edges and the time left."""
         x, y, heading, speed = state
         to_go = (self.num_steps - step) * self.dt
         drift = speed * jnp.sin(heading)
@@ -108,13 +108,13 @@ class Car(MDP):
         return states[-1, :0]
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "4"]:
-        """Draw a state on the track, headed within a quarter turn of along it."""
+        """Sample a state on the track with a heading within 0.8 rad of the track's direction."""
         low = jnp.array([TRACK[0], -0.5, -0.8, 0.0])
         high = jnp.array([TRACK[1], GOAL_LINE, 0.8, 3.0])
         return jax.random.uniform(key, (4,), minval=low, maxval=high)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
-        """Draw a start near (0, 0) at about 1 m/s along the track."""
+        """Sample a start near (0, 0) at about 1 m/s along the track."""
         middle, half = jnp.array([0.0, 0.0, 0.0, 1.0]), jnp.array(START_SPREAD)
         start = middle + jax.random.uniform(key, (4,), minval=-half, maxval=half)
         return Task(start, jnp.zeros(0))
@@ -129,7 +129,7 @@ def car(beta: float = 0.3, measure: str = "uniform", between_states: bool = True
 
     Args:
       beta: inverse temperature of the demonstrator; 200 in the paper.
-      measure: "uniform" or "counting"; by the latter nobody would ever arrive.
+      measure: "uniform" or "counting"; with "counting" no car would ever arrive.
       between_states: whether crossing a region between two states counts as entering it.
     """
     cells = grid(x=(*TRACK, NUM_LANES), y=(0.0, GOAL_LINE, NUM_ROWS))

@@ -8,7 +8,7 @@ hanging down, both against the vertical, and g = 1:
 
 with d = theta_1 - theta_2.
 
-The reward asks to be at the goal after 3 s with little torque.
+The reward is for being at the goal after 3 s with little torque.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from swerve.problem.problem import Problem
 TERMINAL_WEIGHT = 10.0
 TORQUE_WEIGHT = 0.5
 FREQUENCIES = tuple(math.sqrt(2.0 + sign * math.sqrt(2.0)) for sign in (-1.0, 1.0))  # rad/s
-NEAR = (1.0, 1.0, 1.0, 1.0)  # half of the ranges around hanging down of starts and goals
-REACH = (1.8, 1.8, 2.5, 2.5)  # and of exploring starts
+NEAR = (1.0, 1.0, 1.0, 1.0)  # rad, rad/s: half widths of the range of starts and goals around 0
+REACH = (1.8, 1.8, 2.5, 2.5)  # rad, rad/s: half widths of the range of exploring starts around 0
 
 
 class DoublePendulum(MDP):
@@ -37,7 +37,7 @@ class DoublePendulum(MDP):
 
     Attributes:
       max_torque: torques are evenly spaced on [-max_torque, max_torque].
-      num_torques: A, how many torques.
+      num_torques: A, the number of torques.
       dt: duration of a step [s].
       num_steps: T.
     """
@@ -79,10 +79,11 @@ class DoublePendulum(MDP):
     def features(
         self, state: Float[Array, "4"], step: Int[Array, ""], goal: Float[Array, "4"]
     ) -> Float[Array, "32"]:
-        """Return the default, and by how much the goal would be missed without a torque.
+        """Return the default features, and the distance to the goal after coasting to the end.
 
-        Small swings add up of two modes, in phase and in opposition, each a rotation of
-        (q, q' / w). What they miss the goal by is given as it is, per time to go, and bounded.
+        Small swings are the sum of two modes, in phase and in opposition, each a rotation of
+        (q, q' / w). Differences of both modes to the goal are features; so are these differences
+        divided by the time left and bounded by tanh, at two scales.
         """
         to_go = (self.num_steps - step) * self.dt
         miss = _modes(goal) - _coasted(_modes(state), to_go)
@@ -96,12 +97,12 @@ class DoublePendulum(MDP):
         )
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "4"]:
-        """Draw a state within 1.8 rad and 2.5 rad/s of hanging at rest, where tasks lead."""
+        """Sample a state within 1.8 rad and 2.5 rad/s of hanging at rest, around all tasks."""
         half = jnp.array(REACH)
         return jax.random.uniform(key, (4,), minval=-half, maxval=half)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
-        """Draw start and goal within 1 rad and 1 rad/s of hanging at rest."""
+        """Sample start and goal within 1 rad and 1 rad/s of hanging at rest."""
         half = jnp.array(NEAR)
         start, goal = jax.random.uniform(key, (2, 4), minval=-half, maxval=half)
         return Task(start, goal)
@@ -116,7 +117,7 @@ def _modes(state: Float[Array, "4"]) -> Float[Array, "4"]:
 
 
 def _coasted(modes: Float[Array, "4"], duration: Float[Array, ""]) -> Float[Array, "4"]:
-    """Return the modes after so much time without a torque [s]."""
+    """Return the modes after a duration [s] without a torque."""
     parts = []
     for k, frequency in enumerate(FREQUENCIES):
         place, speed = modes[2 * k], modes[2 * k + 1]
@@ -150,7 +151,7 @@ def double_pendulum(
     """Return the double pendulum with 10 x 10 cells of the two angles as hypotheses.
 
     Args:
-      max_torque: torques are -1, -1/2, 0, 1/2 and 1 times this.
+      max_torque: torques are -1, -1/2, 0, 1/2 and 1 times this number.
       beta: inverse temperature of the demonstrator.
       measure: "uniform" or "counting"; the same here, since all episodes have 100 steps.
       between_states: whether crossing a cell between two states counts as entering it.

@@ -2,7 +2,8 @@
 
     R(xi) = step_reward * (moves taken),    and every trajectory must reach its goal.
 
-A move that would leave the world, or enter a wall, is not offered. The goal ends the episode.
+A move that would leave the world or enter a wall is not offered. Reaching the goal ends the
+episode.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def _features(
 
 
 class Gridworld(TabularMDP):
-    """A walker in a world of width x height cells, who takes one of eight moves at a time.
+    """A world of width x height cells in which a walker takes one of eight moves at a time.
 
     Cell (x, y) is state y * width + x. It is the square of side 1 around the point (x, y).
 
@@ -71,10 +72,10 @@ class Gridworld(TabularMDP):
       width: number of columns.
       height: number of rows.
       num_steps: T, the most moves.
-      step_reward: of a move, diagonal ones included.
+      step_reward: of a move, also of a diagonal move.
       walls: cells (x, y) that cannot be entered.
-      cell_features: a dictionary of names and their cells, or (name, cells) pairs; each feature is
-        to be hypothesised as one.
+      cell_features: a dictionary of names and their cells, or (name, cells) pairs; the cells of a
+        feature are one hypothesis together.
     """
 
     width: int = eqx.field(static=True, default=9)
@@ -91,7 +92,7 @@ class Gridworld(TabularMDP):
     actions = jnp.array(list(MOVES.values()), jnp.float32)
 
     def __check_init__(self) -> None:
-        """Raise ValueError where there is no world, or a cell is not in it."""
+        """Raise ValueError where the world has no cell, or a given cell is not in the world."""
         for name in ("width", "height"):
             whole_number(getattr(self, name), f"Gridworld: {name}", 1)
         if np.isnan(self.step_reward) or self.step_reward == np.inf:
@@ -111,7 +112,7 @@ class Gridworld(TabularMDP):
 
     @property
     def successors(self) -> np.ndarray:
-        """[S, A] the cell that each move leads to."""
+        """[S, A] the cell that each move leads to, NOWHERE where the move is not offered."""
         return _successors(self.width, self.height, self.walls)
 
     @property
@@ -128,7 +129,7 @@ class Gridworld(TabularMDP):
         return jnp.where(self.terminated(state, goal), 0.0, -jnp.inf)
 
     def sample_task(self, key: Any) -> Task:
-        """Draw two different cells that are no walls."""
+        """Sample two different cells that are no walls."""
         start, step = jax.random.split(key)
         blocked = [y * self.width + x for x, y in self.walls]
         free = jnp.asarray(np.delete(self.states, blocked, axis=0), jnp.float32)
@@ -150,7 +151,7 @@ class Gridworld(TabularMDP):
 
 @functools.lru_cache(maxsize=8)
 def _successors(width: int, height: int, walls: tuple[Cell, ...]) -> np.ndarray:
-    """Return the cell [S, A] that each move leads to, NOWHERE where there is none."""
+    """Return the cell [S, A] that each move leads to, NOWHERE where the move is not offered."""
     y, x = np.divmod(np.arange(width * height), width)
     dx, dy = np.array(list(MOVES.values())).T
     x, y = x[:, None] + dx, y[:, None] + dy
@@ -158,8 +159,8 @@ def _successors(width: int, height: int, walls: tuple[Cell, ...]) -> np.ndarray:
     index = np.where(inside, y * width + x, NOWHERE)
     blocked = [wall_y * width + wall_x for wall_x, wall_y in walls]
     found = np.where(np.isin(index, blocked), NOWHERE, index).astype(np.int32)
-    found[blocked] = NOWHERE  # nobody is there
-    found.flags.writeable = False  # it is shared
+    found[blocked] = NOWHERE  # walls offer no move
+    found.flags.writeable = False  # the cache shares the array among all callers
     return found
 
 
@@ -178,7 +179,7 @@ def move_box(name: str) -> ActionBox:
 def gridworld(
     width: int = 9, height: int = 9, num_steps: int = 24, step_reward: float = -1.0
 ) -> Problem:
-    """Return the problem `gridworld`: every cell and every move is hypothesised.
+    """Return the problem `gridworld`, with every cell and every move as a hypothesis.
 
     Args:
       width: number of columns.

@@ -2,7 +2,7 @@
 
     theta'' = (g / l) sin(theta) + u,    g / l = 1,
 
-theta = 0 upright, theta = pi hanging; the reward asks to be at the goal after 5 s with little
+theta = 0 upright, theta = pi hanging. The reward is for being at the goal after 5 s with little
 torque, r_T = -80 |s_T - goal|^2 (the angle's difference wrapped) and r = -0.05 u^2 dt.
 """
 
@@ -22,7 +22,7 @@ from swerve.problem.problem import Problem
 
 TERMINAL_WEIGHT = 80.0
 TORQUE_WEIGHT = 0.05
-MAX_START_SPEED = 2.0  # rad/s, of starts and goals
+MAX_START_SPEED = 2.0  # rad/s, of starts and goals of tasks
 MAX_SPEED = 6.0  # rad/s, of exploring starts
 
 
@@ -32,7 +32,7 @@ class Pendulum(MDP):
     Attributes:
       max_torque: torques are evenly spaced on [-max_torque, max_torque]. The paper states 1; the
         demonstrations of its authors need 10.
-      num_torques: A, how many torques.
+      num_torques: A, the number of torques.
       dt: duration of a step [s].
       num_steps: T.
     """
@@ -78,11 +78,11 @@ class Pendulum(MDP):
     def features(
         self, state: Float[Array, "2"], step: Int[Array, ""], goal: Float[Array, "2"]
     ) -> Float[Array, "20"]:
-        """Return smooth features, among them what it would take to still reach the goal.
+        """Return smooth features, among them the accelerations needed to still reach the goal.
 
-        `miss` is by how much the angle would miss the goal, were the pendulum to coast; `turn` and
-        `gain` are the accelerations that would make up for it and for the gap in speed, in units
-        of the largest torque.
+        `miss` is the difference between the goal and the angle after coasting to the end. `turn`
+        and `gain` are the accelerations that would close this difference and the gap in speed, in
+        units of the largest torque.
         """
         to_go = (self.num_steps - step) * self.dt
         angle, gap = goal[0] - state[0], goal[1] - state[1]
@@ -105,12 +105,12 @@ class Pendulum(MDP):
         )
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "2"]:
-        """Draw a state with any angle and at most 6 rad/s."""
+        """Sample a state with any angle and at most 6 rad/s."""
         low, high = jnp.array([0.0, -MAX_SPEED]), jnp.array([TWO_PI, MAX_SPEED])
         return jax.random.uniform(key, (2,), minval=low, maxval=high)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
-        """Draw start and goal with any angle and at most 2 rad/s."""
+        """Sample start and goal with any angle and at most 2 rad/s."""
         low, high = jnp.array([0.0, -MAX_START_SPEED]), jnp.array([TWO_PI, MAX_START_SPEED])
         start, goal = jax.random.uniform(key, (2, 2), minval=low, maxval=high)
         return Task(start, goal)
@@ -125,7 +125,7 @@ def pendulum(
     """Return the pendulum with the paper's 10 x 10 cells of theta and omega as hypotheses.
 
     Args:
-      max_torque: torques are -1, -1/2, 0, 1/2 and 1 times this.
+      max_torque: torques are -1, -1/2, 0, 1/2 and 1 times this number.
       beta: inverse temperature of the demonstrator.
       measure: "uniform" or "counting"; the same here, since all episodes have 300 steps.
       between_states: whether crossing a cell between two states counts as entering it.

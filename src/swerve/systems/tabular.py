@@ -1,8 +1,8 @@
 """MDPs with finitely many states: tables of successors and rewards.
 
-A state is a point of a lattice, 0 <= s_d < shape_d in each of its components, numbered with the
-first component fastest. A tabular MDP is an MDP like any other, so every solver takes it; the
-tabular solver reads the tables themselves.
+A state is a point of a lattice, 0 <= s_d < shape_d in each component d; states are numbered with
+the first component fastest. Every solver takes a tabular MDP, as any other MDP; the tabular solver
+reads the tables directly.
 
 Shapes: S states, A actions, n components of a state, g of a goal, L steps of a demonstration.
 """
@@ -26,11 +26,11 @@ class TabularMDP(MDP):
 
     Attributes:
       shape: number of values of each component of a state.
-      successors: [S, A] the state that each action leads to, -1 where it is not offered.
+      successors: [S, A] the next state of each action, -1 where the action is not offered.
       rewards: [S, A] the reward of each action, in units of reward.
     """
 
-    if TYPE_CHECKING:  # for a type checker: anything that provides the value will do
+    if TYPE_CHECKING:  # so that a subclass may provide the values as fields or as properties
         shape: Any = eqx.field(init=False)
         successors: Any = eqx.field(init=False)
         rewards: Any = eqx.field(init=False)
@@ -43,7 +43,7 @@ class TabularMDP(MDP):
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """A lattice point is in the middle of a cell of side 1."""
+        """Half a step beyond the outer lattice points, each the middle of a cell of side 1."""
         return tuple((-0.5, size - 0.5) for size in self.shape)
 
     @property
@@ -53,22 +53,22 @@ class TabularMDP(MDP):
 
     @property
     def transitions(self) -> Transitions:
-        """Which state follows which."""
+        """The successors of all states and actions, as data."""
         return Transitions(tuple(self.shape), self.successors, np.asarray(self.actions, float))
 
     @property
     def num_states(self) -> int:
-        """S."""
+        """S, the number of states."""
         return math.prod(self.shape)
 
     @property
     def states(self) -> np.ndarray:
-        """[S, n] the lattice points, by number."""
+        """[S, n] the lattice points, in the order of their numbers."""
         index = np.unravel_index(np.arange(self.num_states), self.shape, order="F")
         return np.stack(index, axis=-1).astype(float)
 
     def state_index(self, states: Any) -> Any:
-        """Return the number [...] of states [..., n], NumPy or JAX; beyond the edge, the edge."""
+        """Return the number [...] of states [..., n], NumPy or JAX; clipped to the lattice."""
         return lattice_number(states, self.shape)
 
     def action_index(self, actions: Any) -> Any:
@@ -82,7 +82,7 @@ class TabularMDP(MDP):
         return jnp.asarray(self.states, state.dtype)[jnp.where(following < 0, index, following)]
 
     def reward(self, state: Any, action: Any, next_state: Any, goal: Any) -> Any:
-        """Return the reward of the action, -inf where it is not offered."""
+        """Return the reward of the action, -inf where the action is not offered."""
         place = self.state_index(state), self.action_index(action)
         reward = jnp.asarray(self.rewards, state.dtype)[place]
         return jnp.where(jnp.asarray(self.successors)[place] < 0, -jnp.inf, reward)
@@ -92,7 +92,7 @@ class ArrayMDP(TabularMDP):
     """A tabular MDP made of arrays; see `tabular`.
 
     Attributes:
-      terminal_rewards: [S] paid where an episode ends.
+      terminal_rewards: [S] paid in the state where an episode ends.
       absorbing: [S] states in which an episode ends before the horizon.
     """
 
@@ -108,16 +108,16 @@ class ArrayMDP(TabularMDP):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The states are numbers."""
+        """(S,): a state is its own number."""
         return (len(self.successors),)
 
     @property
     def actions(self) -> Any:
-        """[A, 1] the actions are numbers."""
+        """[A, 1] the numbers of the actions."""
         return jnp.arange(self.successors.shape[1], dtype=jnp.float32)[:, None]
 
     def terminal_reward(self, state: Any, goal: Any) -> Any:
-        """Return what is paid where the episode ends."""
+        """Return the reward of ending in a state."""
         return jnp.asarray(self.terminal_rewards, state.dtype)[self.state_index(state)]
 
     def terminated(self, state: Any, goal: Any) -> Any:
@@ -125,11 +125,11 @@ class ArrayMDP(TabularMDP):
         return jnp.asarray(self.absorbing)[self.state_index(state)]
 
     def goal_of(self, states: np.ndarray) -> np.ndarray:
-        """Return no goal: there is only one task for each start."""
+        """Return a goal without components: each start has only one task."""
         return np.zeros(0)
 
     def sample_task(self, key: Any) -> Any:
-        """Draw a start."""
+        """Sample a start."""
         return Task(jnp.round(MDP.sample_state(self, key)), jnp.zeros(0))
 
 
@@ -143,7 +143,7 @@ def tabular(
 ) -> ArrayMDP:
     """Make an MDP of arrays.
 
-    Its states have one component, `state`, the number; its actions have one, `action`.
+    A state has one component, `state`, its number; an action has one component, `action`.
 
     Args:
       transitions: [S, A] numbers of the successors, -1 where an action is not offered; or [A, S, S]
@@ -151,14 +151,15 @@ def tabular(
         where an action is not offered.
       rewards: [S, A] or [S], in units of reward; -inf where an action is forbidden.
       num_steps: T, the horizon.
-      terminal_rewards: [S] paid where the episode ends; 0 if None, -inf where it must not end.
+      terminal_rewards: [S] paid in the state where an episode ends; 0 if None; -inf in states where
+        no episode may end.
       absorbing: states in which an episode ends before the horizon.
 
     Returns:
       The MDP.
 
     Raises:
-      ValueError: if a transition is stochastic or points outside, a reward is NaN or +inf, or
+      ValueError: if a transition is stochastic or leads to no state, a reward is NaN or +inf, or
         shapes do not fit.
     """
     successors = _successors(transitions)
@@ -197,7 +198,7 @@ def _checked_rewards(name: str, rewards: Any, shape: tuple[int, ...]) -> np.ndar
 
 
 def _successors(transitions: Any) -> np.ndarray:
-    """Return successors [S, A] from any of the forms that `tabular` takes."""
+    """Return successors [S, A] from transitions in any of the forms that `tabular` takes."""
     if not np.size(transitions) or not len(transitions):
         raise ValueError(
             "transitions: expected at least one state and one action, got shape "

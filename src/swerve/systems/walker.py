@@ -3,16 +3,16 @@
     s' = s + a,   r(s, a) = -|a|,   r_T = 0 within reach of the goal, -inf elsewhere,
 
 s = (x, y) [m] the position, a one of 16 displacements, to the points of a square lattice that are a
-chess king's or a knight's move away: 16 headings, 18 to 27 degrees apart. So R is minus
-the distance walked, and what is left of it at best is the way still to go.
+chess king's or a knight's move away: 16 headings, 18 to 27 degrees apart. So R is minus the
+distance walked.
 
-The number of steps is free, and with the counting measure each step is a choice that has weight of
-its own: the walks of all lengths have a finite sum only where
+The number of steps is free, and with the counting measure each step multiplies the number of walks:
+the weights of the walks of all lengths have a finite sum only where
 
     sum_a exp(-beta |a|) < 1.
 
-Near that least beta people stray as far as they can and still arrive; far above it they take the
-shortest way.
+For beta near this limit people stray as far as they can and still arrive; for a far larger beta
+they take the shortest way.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from swerve.base.arguments import positive_number
 from swerve.problem.mdp import MDP
 
 KING_AND_KNIGHT = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
-SPEED = 1.2  # m/s, of people who walk
-NUM_HALVINGS = 60  # of an interval of betas
+SPEED = 1.2  # m/s, a usual walking speed
+NUM_HALVINGS = 60  # of the interval that holds the least beta: to the last digit of a float64
 
 
 def _bounds(bounds: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -39,12 +39,12 @@ def _bounds(bounds: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
 class Walker(MDP):
     """Somebody who walks over a floor to a goal, a position (x, y) [m].
 
-    Walls are not its business: give them as known constraints (see `Occupancy`).
+    The walker knows no walls: give walls as known constraints (see `Occupancy`).
 
     Attributes:
       bounds: of x and y [m].
-      spacing: of the lattice whose points are a step apart [m].
-      reach: how near the goal is near enough [m].
+      spacing: of the lattice of positions [m].
+      reach: distance to the goal at which the walker has arrived [m].
       num_steps: T, the most steps.
     """
 
@@ -65,7 +65,7 @@ class Walker(MDP):
 
     @property
     def dt(self) -> float:
-        """Seconds that a step takes, on average over the actions, at walking speed."""
+        """Duration [s] of a step at walking speed, on average over the actions."""
         return float(np.linalg.norm(KING_AND_KNIGHT, axis=1).mean()) * self.spacing / SPEED
 
     @property
@@ -75,13 +75,13 @@ class Walker(MDP):
 
     @property
     def num_cells(self) -> tuple[int, int]:
-        """Cells of the lattice along x and y, whose centres are its points."""
+        """Numbers of cells along x and y; the centres of the cells are the lattice points."""
         x, y = (max(1, round((high - low) / self.spacing)) for low, high in self.bounds)
         return x, y
 
     @property
     def least_beta(self) -> float:
-        """The beta [nats/m] above which all walks, of any length, have a finite sum of weights."""
+        """The beta [nats/m] above which the weights of walks of all lengths have a finite sum."""
         lengths = self.spacing * np.linalg.norm(KING_AND_KNIGHT, axis=1)
         low, high = 0.0, math.log(len(lengths)) / self.spacing
         for _ in range(NUM_HALVINGS):

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from swerve.problem.problem import Problem
-from swerve.simulation.trajectory import draw_action, take_step
+from swerve.simulation.trajectory import sample_action, take_step
 from swerve.solvers.trained.lanes import Lanes, fresh_lanes, over_lanes
 
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, modulo 1, spread evenly over any part of them
@@ -99,7 +99,7 @@ def roll_segment(
 
     def advance(lanes: Lanes, fresh: Lanes, uniform: Array, place: Array) -> tuple[Lanes, Segment]:
         log_probabilities, seen = look(lanes, place)
-        action, log_probability = draw_action(log_probabilities, uniform)
+        action, log_probability = sample_action(log_probabilities, uniform)
         taken = take_step(problem, lanes.state, action, lanes.step, lanes.goal)
         moved = Lanes(taken.state, lanes.step + 1, lanes.goal)
         following = jax.tree.map(partial(jnp.where, taken.ended), fresh, moved)
