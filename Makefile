@@ -8,7 +8,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test docs benchmark lock clean FORCE
+.PHONY: help demo format check test-fast test docs benchmark lock clean FORCE
 
 # `make test PYTHON=/path/to/python3` chooses another interpreter.
 ifndef PYTHON
@@ -18,9 +18,9 @@ PYTHON := $(shell for p in python3.11 python3 python3.12 python3.13 python3.14; 
 endif
 VENV := .venv
 BIN := $(VENV)/bin
-# Arguments for pytest: `make test PYTEST_ARGS='-m "not slow"'`.
+# Arguments for pytest: `make test PYTEST_ARGS='-k pendulum'`.
 PYTEST_ARGS ?=
-# Processes that share the tests; each takes about 2 GB of memory.
+# Number of processes that share the tests; each process takes about 2 GB of memory.
 TEST_PROCESSES ?= 2
 # Arguments for `swerve demo`.
 DEMO_ARGS ?=
@@ -30,24 +30,39 @@ LOCK_ARGS ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq
 LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
+# Tests that `make test-fast` leaves out, beside those marked slow: they learn, sample or start processes.
+SLOW_TESTS := benchmarks cli demonstrators reproduce sampling solvers whole work test_docs.py
+
+# Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.
+export NO_MKDOCS_2_WARNING := 1
+
+# A recipe between BEGIN and END goes on after a failure, so that one call shows all failures.
+BEGIN := failed=; run() { echo "==> $$*"; $(BIN)/python -m "$$@" || failed="$$failed $$1"; };
+STYLE_AND_TYPES := run ruff check .; run ruff format --check .; run pyright;
+DOCS := run mkdocs build --strict;
+PYTEST := run pytest --numprocesses $(TEST_PROCESSES) --dist loadfile
+END := if [ -n "$$failed" ]; then echo "==> failed:$$failed" >&2; exit 1; fi
+
 help:  ## List the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 12
 
 demo: $(VENV)/runtime.stamp  ## Run the quick start: infer a constraint from bundled demonstrations
 	@$(BIN)/swerve demo $(DEMO_ARGS)
 
-test: $(VENV)/dev.stamp  ## Check style, types and behaviour; all failures are shown
-	@failed=; \
-	run() { echo "==> $$*"; $(BIN)/python -m "$$@" || failed="$$failed $$1"; }; \
-	run ruff check .; \
-	run ruff format --check .; \
-	run pyright; \
-	run pytest --numprocesses $(TEST_PROCESSES) --dist loadfile $(PYTEST_ARGS); \
-	if [ -n "$$failed" ]; then echo "==> failed:$$failed" >&2; exit 1; fi
+format: $(VENV)/dev.stamp  ## Format the code and mend what ruff can mend
+	@$(BEGIN) run ruff check --fix .; run ruff format .; $(END)
 
-docs: $(VENV)/dev.stamp  ## Build the documentation into site/; a broken link is an error
-	@echo "==> mkdocs build"
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+check: $(VENV)/dev.stamp  ## Check style and types
+	@$(BEGIN) $(STYLE_AND_TYPES) $(END)
+
+test-fast: $(VENV)/dev.stamp  ## Run the tests that are quick, in under two minutes
+	@$(BEGIN) $(PYTEST) -m "not slow" $(SLOW_TESTS:%=--ignore=tests/%) $(PYTEST_ARGS); $(END)
+
+test: $(VENV)/dev.stamp  ## Check style, types, documentation and behaviour; all failures are shown
+	@$(BEGIN) $(STYLE_AND_TYPES) $(DOCS) $(PYTEST) $(PYTEST_ARGS); $(END)
+
+docs: $(VENV)/dev.stamp  ## Build the documentation into site/; a warning is an error
+	@$(BEGIN) $(DOCS) $(END)
 	@echo "the documentation is in site/index.html"
 
 benchmark: $(VENV)/benchmark.stamp  ## Set up what benchmarks/ compares with (torch, Stable-Baselines3)
