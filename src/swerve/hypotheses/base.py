@@ -1,9 +1,8 @@
-"""Sets of hypothesised constraints, and which of them a batch of trajectories enters.
+"""Sets of hypotheses, and which of them each of a batch of trajectories enters.
 
-The result for N trajectories and H hypotheses is packed: one bit per (trajectory, hypothesis),
-[N, ceil(H / 8)] bytes, bit h & 7 of byte h >> 3 (NumPy's bitorder="little").
+The answer for N trajectories and H hypotheses is one bit per pair, packed as `bits` says.
 
-Shapes: N trajectories, T steps, n state dimensions, H hypotheses.
+Shapes: N trajectories, T steps, n state dimensions, m action dimensions, H hypotheses.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class HypothesisSet(ABC):
           states: [N, T+1, n] trajectories.
           space: what the n components are.
           between_states: whether the segments between states count as well.
-          actions: [N, T, m], which must be there if hypotheses are about actions.
+          actions: [N, T, m], required if a hypothesis is about actions.
         """
 
     @abstractmethod
@@ -53,11 +52,11 @@ class HypothesisSet(ABC):
     @property
     @abstractmethod
     def state_names(self) -> tuple[str, ...]:
-        """The states that the hypotheses speak of, in the order in which to draw them."""
+        """The states that the hypotheses name, in the order in which pictures show them."""
 
     @property
     def needs_code(self) -> bool:
-        """Whether judging a trajectory needs functions that no file can hold."""
+        """Whether judging a trajectory needs Python functions, which no file can hold."""
         return False
 
     @property
@@ -81,29 +80,29 @@ class HypothesisSet(ABC):
         """Return the distance [..., H] from states [..., n] to each hypothesis.
 
         Raises:
-          ValueError: if a hypothesis has none, see `Constraint.distance`.
+          ValueError: if a hypothesis has no shape to tell distances to, see `Constraint.distance`.
         """
         states = np.asarray(states, float)
         each = [self.constraint(index).distance(states, space) for index in range(len(self))]
         return np.stack(each, axis=-1)
 
     def eroded(self, margin: Mapping[str, float], space: StateSpace) -> HypothesisSet:
-        """Return as many hypotheses, each less a margin for measurement noise.
+        """Return the same hypotheses, each less a margin for measurement noise.
 
         Args:
-          margin: for some states, how deep inside one must be, in the state's unit.
-          space: what the states are.
+          margin: for some states, how deep inside, in the state's unit.
+          space: what the n components are.
 
         Raises:
-          ValueError: if a margin is negative or no number, is of no state, or leaves nothing of a
-            hypothesis.
+          ValueError: if a margin is negative or no number, is that of no state, or leaves nothing
+            of a hypothesis.
         """
         each = (self.constraint(index).eroded(margin, space) for index in range(len(self)))
         return ConstraintHypotheses(each)
 
 
 class ConstraintHypotheses(HypothesisSet):
-    """A list of constraints. The cost of judging a trajectory grows with their number."""
+    """Any constraints as hypotheses; the cost of judging a trajectory grows with their number."""
 
     def __init__(self, constraints: Iterable[Constraint]) -> None:
         if isinstance(constraints, Constraint) or not isinstance(constraints, Iterable):
@@ -120,17 +119,17 @@ class ConstraintHypotheses(HypothesisSet):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The states that constraints name, in order of first mention."""
+        """The states that the constraints name, in order of first mention."""
         return tuple(dict.fromkeys(name for c in self.constraints for name in c.spans))
 
     @property
     def needs_code(self) -> bool:
-        """Whether there are predicates among them."""
+        """Whether one of the constraints is a predicate."""
         return any(constraint.needs_code for constraint in self.constraints)
 
     @property
     def about_actions(self) -> bool:
-        """Whether one of them forbids actions."""
+        """Whether one of the constraints forbids actions."""
         return any(constraint.about_actions for constraint in self.constraints)
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:

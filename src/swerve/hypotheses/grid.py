@@ -1,11 +1,10 @@
-"""Boxes in regular order: the cells of a grid, where the cost of judging does not grow with H.
+"""Hypotheses that are the cells of a regular grid; the cost of judging does not grow with H.
 
 The cell of a state is index arithmetic,
 
     cell_d = floor((x_d - low_d) / width_d),
 
-and a segment enters a cell wherever it crosses a grid line. The result is packed as in
-`hypotheses`.
+and a segment enters a cell wherever it crosses a grid line. The result is packed as in `bits`.
 
 Shapes: N trajectories, T steps, n state dimensions, d grid dimensions, H hypotheses.
 """
@@ -26,18 +25,18 @@ from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.bits import no_bits, set_pairs
 from swerve.hypotheses.grid_axis import GridAxis
 
-BLOCK = 1 << 16  # states judged at once: what is worked out for them stays in cache
+BLOCK = 1 << 16  # states judged at once: intermediate results fit the cache
 
 
 class BoxHypotheses(HypothesisSet):
     """Boxes of one size in regular order, the last axis fastest: cells of a grid, or windows."""
 
     shape: tuple[int, ...]
-    """How many there are along each axis."""
+    """The number of boxes along each axis."""
 
     @abstractmethod
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return for each axis where its boxes begin and end."""
+        """Return for each axis the low and the high ends of its boxes."""
 
     def __len__(self) -> int:
         return math.prod(self.shape)
@@ -48,7 +47,7 @@ class BoxHypotheses(HypothesisSet):
         return tuple(self.edges())
 
     def constraint(self, index: int) -> Box:
-        """Return one of them as a box."""
+        """Return hypothesis `index` as a box."""
         self._check_index(index)
         place = np.unravel_index(index, self.shape)
         return Box(
@@ -83,7 +82,7 @@ class GridHypotheses(BoxHypotheses):
         self.shape = tuple(cells for _, _, cells in self.axes.values())
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where an axis is no state or an angle axis exceeds a full turn."""
+        """Raise ValueError where an axis names no state, or the axis of an angle exceeds a turn."""
         self._bounding_box().check(space, action_names)
 
     def _bounding_box(self) -> Box:
@@ -101,7 +100,7 @@ class GridHypotheses(BoxHypotheses):
         between_states: bool,
         actions: Actions | None = None,
     ) -> np.ndarray:
-        """Return packed bits [N, ceil(H / 8)]; the cost is that of the lines crossed, not of H."""
+        """Return packed bits [N, ceil(H / 8)]; the cost grows with lines crossed, not with H."""
         bits = no_bits(len(states), len(self))
         size = max(1, BLOCK // states.shape[1])
         for first in range(0, len(states), size):
@@ -134,7 +133,7 @@ class GridHypotheses(BoxHypotheses):
             _set_cells(bits, trajectory[segment], cell)
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return for each axis where its cells begin and end."""
+        """Return for each axis the low and the high ends of its cells."""
         ends = {}
         for name, (low, high, count) in self.axes.items():
             lines = low + np.arange(count + 1) * ((high - low) / count)
@@ -153,7 +152,7 @@ class GridHypotheses(BoxHypotheses):
 
 
 def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
-    """Hypothesise every cell of a regular grid.
+    """Make every cell of a regular grid a hypothesis.
 
     Args:
       **axes: for each state (low, high, number of cells), in that state's unit. An angle's range
@@ -163,13 +162,13 @@ def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
       Hypotheses numbered with the last axis fastest.
 
     Raises:
-      ValueError: if there is no axis, or one has low >= high or no cell.
+      ValueError: if there is no axis, or an axis has low >= high or no cell.
     """
     return GridHypotheses(axes)
 
 
 def checked_range(kind: str, name: str, axis: Any, third: str) -> tuple[float, float, float]:
-    """Return (low, high) of an axis, checked, and a third number, NaN if it is none.
+    """Return (low, high) of an axis after checking both, and a third number, NaN if no number.
 
     Raises:
       ValueError: if there are not three numbers, or low and high are not finite and in order.
@@ -194,15 +193,15 @@ def _crossed_cells(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (segment, cell) for the cells between the two ends of each segment.
 
-    Wherever a segment crosses a grid line it enters a cell: the line tells its index along one
-    axis, the position there its indices along the others. Segments that cross fewer than two
-    lines have no cell between their ends.
+    Wherever a segment crosses a grid line it enters a cell. The line tells the index of the cell
+    along one axis, the position on the line its indices along the others. Segments that cross fewer
+    than two lines have no cell between their ends.
 
     Args:
       axes: of the grid.
       starts: [S, n] where segments begin.
-      steps: [S, n] how far they go.
-      spans: for each axis the extended indices [S] of their two ends.
+      steps: [S, n] from the starts to the ends of segments.
+      spans: for each axis the extended indices [S] of starts and of ends.
     """
     num_lines = sum(np.abs(last - first) for first, last in spans)
     many = np.flatnonzero(num_lines >= 2)

@@ -2,7 +2,7 @@
 
     index = floor((x - low) / width)
 
-Indices go on beyond the ends of the grid, so that the difference of two of them counts the lines
+Indices go on beyond the ends of the grid, so that the difference of two indices counts the lines
 between them.
 
 Shapes: S segments, n state dimensions.
@@ -18,9 +18,9 @@ from swerve.base.space import TWO_PI, is_full_turn
 class GridAxis:
     """One axis of a grid: cells of equal width, numbered beyond the ends too.
 
-    Index e of a position lies between line e and line e + 1. On a straight axis e is -1 below and
-    `count` above. An angle goes on for ever: each turn adds `period` indices, `count` cells and,
-    unless they fill the circle, one gap.
+    A position of extended index e lies between line e and line e + 1. On a straight axis e is -1
+    below the grid and `count` above. On the axis of an angle each turn adds `period` indices: those
+    of `count` cells and, unless the cells fill the turn, of one gap.
     """
 
     def __init__(self, column: int, low: float, high: float, count: int, is_angle: bool) -> None:
@@ -29,7 +29,7 @@ class GridAxis:
         self.period = count if is_angle and is_full_turn(low, high) else count + 1
 
     def position(self, states: np.ndarray) -> np.ndarray:
-        """Return [...] the distance above the low end; for angles in [0, 2 pi)."""
+        """Return the distance [...] above the low end; in [0, 2 pi) for angles."""
         position = states[..., self.column] - self.low
         return position % TWO_PI if self.is_angle else position
 
@@ -43,11 +43,11 @@ class GridAxis:
 
     @property
     def has_gap(self) -> bool:
-        """Whether it is an angle of which cells leave some open: one step may leave and enter."""
+        """Whether the cells of an angle leave a gap: a step may leave a cell and enter it again."""
         return self.is_angle and self.period > self.count
 
     def in_gap(self, index: np.ndarray) -> np.ndarray:
-        """Return where an index is the gap of an angle that has one."""
+        """Return where an extended index is that of the gap of an angle."""
         return index % self.period >= self.count
 
     def turned(
@@ -55,13 +55,13 @@ class GridAxis:
     ) -> np.ndarray:
         """Return the extended indices [S] of the ends of segments, counted on from their starts.
 
-        The end itself tells its index: start + step may be rounded to the other side of a line.
+        The cell is that of the end itself: start + step may be rounded to the other side of a line.
 
         Args:
           last: [S] extended indices of the ends.
           starts: [S, n] where segments begin.
-          ends: [S, n] where they end.
-          steps: [S, n] how far they go, along the shorter arc.
+          ends: [S, n] where segments end.
+          steps: [S, n] from starts to ends, along the shorter arc.
         """
         if not self.is_angle:
             return last
@@ -69,7 +69,7 @@ class GridAxis:
         return last + np.round(missed / TWO_PI).astype(np.int64) * self.period
 
     def cell(self, index: np.ndarray) -> np.ndarray:
-        """Return the cell number of an extended index; not from 0 to `count` - 1: none."""
+        """Return the cell of an extended index; beyond 0 to `count` - 1 there is no cell."""
         return index % self.period if self.is_angle else index
 
     def line(self, number: np.ndarray) -> np.ndarray:
@@ -84,10 +84,10 @@ class GridAxis:
         """Return (segment, index entered, fraction of the segment) of every line crossed.
 
         Args:
-          starts: where the segments begin.
-          steps: how far they go.
-          first: [S] extended indices where they begin.
-          last: [S] extended indices where they end.
+          starts: [S, n] where segments begin.
+          steps: [S, n] from starts to ends, along the shorter arc.
+          first: [S] extended indices of the starts.
+          last: [S] extended indices of the ends.
         """
         count = np.abs(last - first)
         segment = np.repeat(np.arange(len(count)), count)
@@ -110,8 +110,8 @@ class GridAxis:
     ) -> np.ndarray:
         """Return the extended index just after a fraction of segments from index first to last.
 
-        A line that is met at that very point counts as crossed, so that a corner that is only
-        touched is not entered, as with boxes.
+        A line met exactly at the fraction counts as crossed, so that a cell that is only touched at
+        a corner is not entered, as with boxes.
         """
         position = self.position(starts) + fraction * steps[:, self.column]
         index = self.index(position)

@@ -1,8 +1,9 @@
-"""Judging a trajectory state by state: which hypotheses its newest segment enters.
+"""Judge a trajectory state by state: which hypotheses does its newest step enter?
 
-On a grid a segment that crosses no grid line enters nothing new, and one that crosses a single
-line enters the cell where it ends, so that most states take a few operations on single numbers. The
-others are judged as whole trajectories are (see `hypotheses`), and so is whatever is no grid.
+On a grid a segment that crosses no grid line enters nothing new, and a segment that crosses a
+single line enters the cell of its end. So most states of a grid need a few operations on single
+numbers. All other segments, and all hypotheses that are no grid, are judged as a trajectory of two
+states.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from swerve.base.space import TWO_PI, StateSpace
-from swerve.constraints.base import violates
+from swerve.constraints.base import step_enters
 from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import GridHypotheses
@@ -22,10 +23,10 @@ from swerve.hypotheses.grid_axis import GridAxis
 
 
 class Steps(Protocol):
-    """What judges a trajectory whose states come one by one."""
+    """Judges a trajectory whose states come one by one."""
 
     def enter(self, state: list[float]) -> Sequence[int]:
-        """Return the hypotheses that the way from the last state to this one enters."""
+        """Return the hypotheses that the step from the last state to this state enters."""
         ...
 
 
@@ -35,12 +36,12 @@ def stepwise(
     space: StateSpace,
     between_states: bool,
 ) -> Steps:
-    """Return what judges one trajectory, from its first state on.
+    """Return the judge of one trajectory, from its first state on.
 
     Args:
-      hypotheses: what it may enter.
-      judged: what a margin leaves of them; they themselves without one.
-      space: what the states are.
+      hypotheses: of the problem.
+      judged: the hypotheses less a margin; the same object as `hypotheses` without a margin.
+      space: what the components of a state are.
       between_states: whether the segments between states count as well.
     """
     if not isinstance(hypotheses, GridHypotheses):
@@ -51,26 +52,26 @@ def stepwise(
 
 
 class WholeSteps:
-    """Judges each segment as a trajectory of two states."""
+    """Judges each step as a trajectory of two states."""
 
     def __init__(self, hypotheses: HypothesisSet, space: StateSpace, between_states: bool) -> None:
         self.hypotheses, self.space, self.between_states = hypotheses, space, between_states
         self._last: list[float] | None = None
 
     def enter(self, state: list[float]) -> Sequence[int]:
-        """Return the hypotheses that the way from the last state to this one enters."""
+        """Return the hypotheses that the step from the last state to this state enters."""
         last, self._last = self._last, list(state)
         return self.segment([last or state, state] if self.between_states else [state])
 
     def segment(self, states: list[list[float]]) -> Sequence[int]:
-        """Return the hypotheses that one or two states, and the way between them, enter."""
+        """Return the hypotheses that one state, or two states and their segment, enter."""
         path = np.array(states)[None]
         bits = self.hypotheses.violations(path, self.space, self.between_states)
         return np.flatnonzero(unpack(bits[0], len(self.hypotheses))).tolist()
 
 
 class GridSteps:
-    """Judges by the extended indices of the last state along each axis, see `GridAxis`."""
+    """Judges the cells of a grid by the extended indices of the states, see `GridAxis`."""
 
     def __init__(self, hypotheses: GridHypotheses, space: StateSpace, whole: WholeSteps) -> None:
         self._whole = whole
@@ -82,7 +83,7 @@ class GridSteps:
         self._places: list[tuple[float, int]] = []
 
     def enter(self, state: list[float]) -> Sequence[int]:
-        """Return the cells that the way from the last state to this one enters."""
+        """Return the cells that the step from the last state to this state enters."""
         places = [_place(axis, state[axis.column]) for axis in self._axes]
         last, before = self._state, self._places
         self._state, self._places = list(state), places
@@ -105,32 +106,32 @@ class GridSteps:
 
 
 class ErodedSteps:
-    """Judges what a margin leaves of the cells of a grid: only where the cells are is any of it."""
+    """Judges the cells of a grid less a margin: only steps that enter a cell can enter its rest."""
 
     def __init__(
-        self, cells: GridSteps, left: HypothesisSet, space: StateSpace, between_states: bool
+        self, cells: GridSteps, rest: HypothesisSet, space: StateSpace, between_states: bool
     ) -> None:
-        self._cells, self._left, self._space = cells, left, space
+        self._cells, self._rest, self._space = cells, rest, space
         self._between_states = between_states
-        self._around: tuple[int, ...] = ()  # the cell of the last state is one of these
+        self._around: tuple[int, ...] = ()  # the cell of the last state is among these cells
         self._last: list[float] | None = None
 
     def enter(self, state: list[float]) -> Sequence[int]:
-        """Return the cells into whose rest the way from the last state to this one leads."""
+        """Return the cells whose rest the step from the last state to this state enters."""
         last, self._last = self._last, list(state)
         crossed = tuple(self._cells.enter(state))
-        path = np.array([last or state, state] if self._between_states else [state])
+        start, end = np.array([[last or state], [state]])
         candidates = dict.fromkeys((*self._around, *crossed))
         self._around = crossed or self._around
-        return [
-            k
-            for k in candidates
-            if violates(self._left.constraint(k), path, self._space, self._between_states)
-        ]
+        return [k for k in candidates if self._is_entered(k, start, end)]
+
+    def _is_entered(self, index: int, start: np.ndarray, end: np.ndarray) -> bool:
+        rest = self._rest.constraint(index)
+        return bool(step_enters(rest, start, end, self._space, self._between_states)[0])
 
 
 def _place(axis: GridAxis, value: float) -> tuple[float, int]:
-    """Return position and extended index of a number, as `GridAxis` does of arrays."""
+    """Return the position and the extended index of a number, as `GridAxis` does for arrays."""
     position = value - axis.low
     if not axis.is_angle:
         return position, min(max(math.floor(position / axis.width), -1), axis.count)
@@ -141,7 +142,7 @@ def _place(axis: GridAxis, value: float) -> tuple[float, int]:
 
 
 def _crossed(axis: GridAxis, moved: float, old: tuple[float, int], new: tuple[float, int]) -> int:
-    """Return how many lines of an axis a move crosses, along the shorter arc of an angle."""
+    """Return the number of lines of an axis that a move crosses, angles by the shorter arc."""
     (first, first_index), (last, last_index) = old, new
     if axis.is_angle:
         moved -= TWO_PI * round(moved / TWO_PI)

@@ -1,10 +1,10 @@
-"""Overlapping windows: boxes of one size, slid by a part of their sides.
+"""Hypotheses that are overlapping windows: boxes of one size, slid by a part of their sides.
 
-Whether a regular grid of cells finds an obstacle hangs on where its lines are. Windows of side w,
-moved by w / k along each axis, fit to within w / 2k wherever it is. They are judged as the cells of
-a grid of side w / k are, of which a window is k along every axis:
+Whether a regular grid finds an obstacle depends on where the grid lines are. Windows of side w,
+moved by w / k along each axis, fit an obstacle to within w / 2k wherever it is. A window consists
+of k cells of side w / k along every axis, and the cells are judged as a grid:
 
-    window i is entered    where one of the cells i, ..., i + k - 1 is.
+    window i is entered    where one of the cells i, ..., i + k - 1 is entered.
 
 Shapes: N trajectories, d axes, F cells, H windows.
 """
@@ -22,14 +22,14 @@ from swerve.base.space import TWO_PI, Actions, StateSpace
 from swerve.hypotheses.bits import no_bits, pack, unpack
 from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
 
-AT_ONCE = 1 << 22  # cells of trajectories unpacked at a time
-ROUNDING = 1e-9  # of a stride
+AT_ONCE = 1 << 22  # bits of (trajectory, cell) unpacked at a time: bounds the memory
+ROUNDING = 1e-9  # of a stride: relative error of sums of widths that counts as none
 
 
 class WindowHypotheses(BoxHypotheses):
     """Overlapping windows along some of the states; made by `windows`.
 
-    The last named state varies fastest. A window lies within [low, high] of every axis; where
+    The last named state varies fastest. A window lies within [low, high] of every axis; where the
     strides fill the full turn of an angle, windows go round.
     """
 
@@ -54,7 +54,7 @@ class WindowHypotheses(BoxHypotheses):
         )
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where an axis is no state, or goes round and is no angle."""
+        """Raise ValueError where an axis names no state, or goes round and is no angle."""
         self._cells.check(space, action_names)
         for name, goes_round in zip(self.axes, self._goes_round, strict=True):
             if goes_round and name not in space.angles:
@@ -64,7 +64,7 @@ class WindowHypotheses(BoxHypotheses):
                 )
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return for each axis where its windows begin and end."""
+        """Return for each axis the low and the high ends of its windows."""
         ends = {}
         for (name, (low, high, count)), num in zip(
             self._cells.axes.items(), self.shape, strict=True
@@ -81,7 +81,7 @@ class WindowHypotheses(BoxHypotheses):
         between_states: bool,
         actions: Actions | None = None,
     ) -> np.ndarray:
-        """Return packed bits [N, ceil(H / 8)]; the cost is that of the cells, F, and of H."""
+        """Return packed bits [N, ceil(H / 8)]; the cost grows with F and H."""
         cells = self._cells.violations(states, space, between_states, actions)
         bits = no_bits(len(states), len(self))
         size = max(1, AT_ONCE // len(self._cells))
@@ -92,7 +92,7 @@ class WindowHypotheses(BoxHypotheses):
         return bits
 
     def _dilated(self, entered: np.ndarray) -> np.ndarray:
-        """Return which windows [N, ...] have one of the cells [N, ...] in them that are entered."""
+        """Return the windows [N, ...] that hold an entered cell, of cells entered [N, ...]."""
         for axis, num in enumerate(self.shape, start=1):
             if self._goes_round[axis - 1]:
                 entered = np.concatenate(
@@ -106,7 +106,7 @@ class WindowHypotheses(BoxHypotheses):
         return entered
 
     def best_of_cells(self, values: np.ndarray) -> tuple[GridHypotheses, np.ndarray]:
-        """Return the cells that windows are made of, and the largest value [F] over each.
+        """Return the cells of the windows, and for each cell the largest value of its windows [F].
 
         Args:
           values: [H] a number for each window.
@@ -118,8 +118,8 @@ class WindowHypotheses(BoxHypotheses):
             before = rows[len(rows) - self.overlap + 1 :] if goes_round else edge
             rows = np.concatenate([before, rows] if goes_round else [edge, rows, edge])
             num = len(rows) - self.overlap + 1
-            covering = [rows[k : k + num] for k in range(self.overlap)]
-            best = np.moveaxis(np.max(covering, axis=0), 0, axis)
+            holding = [rows[k : k + num] for k in range(self.overlap)]
+            best = np.moveaxis(np.max(holding, axis=0), 0, axis)
         return self._cells, best.ravel()
 
     def to_json(self) -> dict[str, Any]:
@@ -129,13 +129,13 @@ class WindowHypotheses(BoxHypotheses):
 
 
 def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypotheses:
-    """Hypothesise overlapping windows of one size, slid along every axis.
+    """Make overlapping windows of one size, slid along every axis, the hypotheses.
 
     Args:
-      overlap: k, of how many strides a window is wide: it is moved by width / k.
+      overlap: k, the number of strides in the width of a window: a stride is width / k.
       **axes: for each state (low, high, width), in that state's unit. Windows lie within
-        [low, high], from low on; what is left of a stride at the high end is in none. Where
-        strides fill the full turn of an angle they go round.
+        [low, high], from low on; the rest of a stride at the high end is in no window. Where
+        strides fill the full turn of an angle, windows go round.
 
     Returns:
       Hypotheses numbered with the last axis fastest.
