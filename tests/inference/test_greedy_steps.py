@@ -1,4 +1,4 @@
-"""Greedy selection and the KL divergence of demonstrations."""
+"""Greedy selection step by step, exact and sampled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.reference import CART_TASK, short_cart
 from support.synthetic import evidence_of_columns, make_demonstration
-from support.walks import PROBLEM, ROUND, TASK, WORLD, walk
+from support.walks import PROBLEM, ROUND, TASK, WORLD
 
 from swerve import (
     Box,
@@ -104,89 +104,6 @@ def test_a_task_without_demonstrations_may_be_impossible(
     assert pair.log_likelihood == pytest.approx(same.log_likelihood, abs=1e-12)
 
 
-def test_divergence_by_hand() -> None:
-    """Two of three alike, each 3 or 4 moves at a reward of -1, log Z = -2."""
-    straight = walk("right", "right", "right")
-    found = divergence(PROBLEM, [straight, straight, ROUND], np.full(3, -2.0))
-    entropy = 2 / 3 * math.log(2 / 3) + 1 / 3 * math.log(1 / 3)
-    assert found == pytest.approx(entropy + (3 + 3 + 4) / 3 - 2.0)
-
-
-def test_actions_of_a_tabular_mdp_are_found_from_its_transitions() -> None:
-    bare = Demonstration("bare", ROUND.states, TASK)
-    value = np.array([-2.0])
-    assert divergence(PROBLEM, [bare], value) == divergence(PROBLEM, [ROUND], value)
-
-
-def test_an_impossible_transition_names_the_step() -> None:
-    states = ROUND.states.copy()
-    states[2] = [3.0, 2.0]
-    message = r"jump: step 2 leads from \[0.0, 1.0\] to \[3.0, 2.0\], which no action does"
-    for actions in (None, ROUND.actions):
-        jump = Demonstration("jump", states, TASK, actions=actions)
-        with pytest.raises(ValueError, match=message):
-            divergence(PROBLEM, [jump], np.zeros(1))
-    with pytest.raises(ValueError, match=message):
-        infer(sample(learn(PROBLEM), TASK), [jump])
-
-
-def test_an_action_that_does_not_make_the_step_is_named() -> None:
-    assert ROUND.actions is not None
-    wrong = Demonstration("wrong", ROUND.states, TASK, actions=ROUND.actions[::-1])
-    with pytest.raises(ValueError, match=r"wrong: step 1 leads .* action \[1.0, -1.0\] does not"):
-        divergence(PROBLEM, [wrong], np.zeros(1))
-
-
-def test_inference_refuses_actions_that_do_not_make_the_steps() -> None:
-    assert ROUND.actions is not None
-    evidence = sample(learn(PROBLEM), TASK)
-    wrong = Demonstration("wrong", ROUND.states, TASK, actions=ROUND.actions[::-1])
-    with pytest.raises(ValueError, match=r"wrong: step 1 leads .* action \[1.0, -1.0\] does not"):
-        infer(evidence, [wrong])
-    narrow = Demonstration("narrow", ROUND.states, TASK, actions=ROUND.actions[:, :1])
-    with pytest.raises(ValueError, match=r"narrow: .* columns dx, dy, got 1 of them"):
-        infer(evidence, [narrow])
-
-
-def test_states_between_the_lattice_points_are_refused() -> None:
-    states = ROUND.states.copy()
-    states[1] += 0.4
-    between = Demonstration("between", states, TASK, actions=ROUND.actions)
-    with pytest.raises(ValueError, match=r"between: row 2, column x: 0.4 lies between two states"):
-        infer(sample(learn(PROBLEM), TASK), [between])
-    with pytest.raises(ValueError, match=r"task 0: goal, column y: 0.3 lies between two states"):
-        sample(learn(PROBLEM), Task(TASK.start, TASK.goal + np.array([0.0, 0.3])))
-
-
-def test_resting_at_the_end_is_no_step() -> None:
-    rests = Demonstration(
-        "rests",
-        np.concatenate([ROUND.states, ROUND.states[-1:]]),
-        TASK,
-        actions=np.concatenate([np.asarray(ROUND.actions), [[0.0, 1.0]]]),
-    )
-    result = infer(sample(learn(PROBLEM), TASK), [rests])
-    assert result.entered[0].sum() > 3
-    bare = Demonstration("bare", rests.states, TASK)
-    expected = divergence(PROBLEM, [ROUND], np.zeros(1))
-    assert divergence(PROBLEM, [rests], np.zeros(1)) == expected
-    assert divergence(PROBLEM, [bare], np.zeros(1)) == expected
-
-
-def test_going_on_after_the_end_is_refused() -> None:
-    on = walk("right", "right", "right", "left", "right")
-    with pytest.raises(ValueError, match=r"has ended in state 3 .*, and yet the demonstr"):
-        divergence(PROBLEM, [on], np.zeros(1))
-
-
-def test_more_steps_than_the_horizon_are_refused() -> None:
-    long = walk("up", "up", "down", "right", "right", "down-right")
-    with pytest.raises(ValueError, match="6 steps, more than the horizon of 5"):
-        divergence(PROBLEM, [long], np.zeros(1))
-    with pytest.raises(ValueError, match="6 steps, more than the horizon of 5"):
-        infer(sample(learn(PROBLEM), TASK), [long])
-
-
 def test_what_no_sample_avoids_is_picked_as_a_bound() -> None:
     columns = np.zeros((1, 400, 10), bool)
     columns[0, :, 5] = columns[0, :160, 6] = True
@@ -239,22 +156,6 @@ def test_sampled_greedy_leaves_out_what_enters_the_picks() -> None:
     )
     kept = [pick.log_partition[0] - picks[0].log_partition[0] for pick in picks]
     np.testing.assert_allclose(kept, [0.0, math.log(0.75)], atol=1e-6)
-
-
-def test_demonstrations_that_differ_by_rounding_are_the_same() -> None:
-    straight = walk("right", "right", "right")
-    near = Demonstration("near", straight.states + 1e-12, TASK, actions=straight.actions)
-    minus = Demonstration("minus", straight.states, Task(-TASK.start, TASK.goal))
-    alike = [straight, near, minus]
-    assert divergence(PROBLEM, alike, np.full(3, -2.0)) == pytest.approx(3.0 - 2.0)
-
-
-@pytest.mark.parametrize("values", [3.0, [1.0, 2.0], [[1.0]]])
-def test_divergence_takes_one_number_for_each_demonstration(values) -> None:
-    with pytest.raises(ValueError, match=r"one number for each of 1 demonstrations, .* got shape"):
-        divergence(PROBLEM, [ROUND], values)
-    with pytest.raises(ValueError, match="demonstrations: expected a list of at least one"):
-        divergence(PROBLEM, [], np.zeros(0))
 
 
 def test_bad_arguments(nominal: TableNominal) -> None:

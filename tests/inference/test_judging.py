@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from support.rankings import RISING, evidence_with_chances
 from support.synthetic import TASKS, make_demonstration, make_evidence, make_record
+from support.walks import PROBLEM, ROUND, TASK
 
-from swerve import Box
+from swerve import Box, learn, sample
 from swerve.answer import infer
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
@@ -86,3 +87,24 @@ def test_a_demonstration_through_a_known_wall_is_refused() -> None:
     with pytest.raises(ValueError, match=r"ghost enters the known constraint x \[5, 6\)"):
         infer(evidence, [inside])
     assert len(infer(evidence, [make_demonstration(0, x=4.5)]).demonstrations) == 1
+
+
+def test_inference_refuses_actions_that_do_not_make_the_steps() -> None:
+    assert ROUND.actions is not None
+    evidence = sample(learn(PROBLEM), TASK)
+    wrong = Demonstration("wrong", ROUND.states, TASK, actions=ROUND.actions[::-1])
+    with pytest.raises(ValueError, match=r"wrong: step 1 leads .* action \[1.0, -1.0\] does not"):
+        infer(evidence, [wrong])
+    narrow = Demonstration("narrow", ROUND.states, TASK, actions=ROUND.actions[:, :1])
+    with pytest.raises(ValueError, match=r"narrow: .* columns dx, dy, got 1 of them"):
+        infer(evidence, [narrow])
+
+
+def test_states_between_the_lattice_points_are_refused() -> None:
+    states = ROUND.states.copy()
+    states[1] += 0.4
+    between = Demonstration("between", states, TASK, actions=ROUND.actions)
+    with pytest.raises(ValueError, match=r"between: row 2, column x: 0.4 lies between two states"):
+        infer(sample(learn(PROBLEM), TASK), [between])
+    with pytest.raises(ValueError, match=r"task 0: goal, column y: 0.3 lies between two states"):
+        sample(learn(PROBLEM), Task(TASK.start, TASK.goal + np.array([0.0, 0.3])))

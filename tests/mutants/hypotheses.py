@@ -10,7 +10,7 @@ MUTANTS = (
         "hypotheses/stepwise.py",
         "if crossed > 1 and self._whole.between_states:",
         "if False:",
-        "monitoring/test_monitor",
+        "hypotheses/test_stepwise",
     ),
     Mutant(
         "cut windows that go round at the end of the turn",
