@@ -1,4 +1,4 @@
-"""Drivers: they pass the obstacle, late and noisily, brake before they steer, and no two alike."""
+"""Drivers pass the obstacle, late and with noise, brake before they steer, and all differ."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_with_nothing_in_the_way_they_keep_to_the_lane() -> None:
 
 
 def test_what_is_out_of_sight_changes_nothing() -> None:
-    """Until the obstacle is 4 m away a drive, if not repeated, is that with nothing in the way."""
+    """Until 4 m before the obstacle, a drive (unless repeated) equals the one on a free track."""
     same = []
     for around, free in zip(AROUND, FREE, strict=True):
         unseen = int((around.states[:, 1] < 6.7 - 4.0).sum())

@@ -1,4 +1,4 @@
-"""Obstacles are the constraints that they are made from, and what avoids them is separated."""
+"""Obstacles hold the points of their constraint, and paths that avoid them are separated."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from swerve import ActionBox, Ball, Box, HalfSpace, Polygon, StateAction, Union
 from swerve.base.space import TWO_PI, Actions, StateSpace
-from swerve.constraints.base import Constraint, Predicate
-from swerve.constraints.polygons import encloses, triangles
+from swerve.constraints.base import Constraint
+from swerve.constraints.polygon_geometry import encloses, triangles
+from swerve.constraints.predicate import Predicate
 from swerve.demonstrators.obstacles import UNUSED, Obstacle, Path, obstacles_of
 
 SPACE = StateSpace(("theta", "x", "y"), ("theta",), np.array([[0.0, TWO_PI], [-4, 4], [-4, 4]]))
@@ -90,7 +91,7 @@ def test_weights_of_a_path_far_off_separate_it(constraint: Constraint, seed: int
 
 @pytest.mark.parametrize("constraint", ALL, ids=lambda c: c.name)
 def test_what_is_pushed_out_is_out(constraint: Constraint) -> None:
-    """Both ends of steps that pass through are moved beyond the same side, and nothing else is."""
+    """Both ends of an entering step move beyond the same side; other states stay."""
     generator = np.random.default_rng(0)
     path = Path(generator.uniform(-4.0, 4.0, (200, 3)), generator.uniform(-1.0, 1.0, (199, 1)))
     share = np.linspace(0.0, 1.0, 1001)[:, None]

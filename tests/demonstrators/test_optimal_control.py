@@ -1,4 +1,4 @@
-"""Optimal control: exact optima where they are known, nothing entered, errors where none is."""
+"""Optimal control: exact optima where they are known; nothing is entered; errors without a path."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from swerve import (
 from swerve.base.space import Actions
 from swerve.constraints.base import Constraint, violates
 from swerve.demonstrators import optimal_control as module
+from swerve.demonstrators import path_search
 from swerve.demonstrators.transcription import Transcription
 from swerve.systems.pendulum import pendulum
 
@@ -39,7 +40,7 @@ NOWHERE = Box(x=(50.0, 51.0))
 class Puck(MDP):
     """A puck on ice that is pushed in two directions and is to stop at its goal.
 
-    s' = A s + B a, so that without limits and obstacles the optimum is that of least squares.
+    s' = A s + B a, so without limits and obstacles least squares gives the optimum.
     """
 
     num_steps: int = eqx.field(default=20, static=True)
@@ -66,7 +67,7 @@ class Puck(MDP):
 
 
 class Throw(Puck):
-    """A puck that is to be somewhere, however fast."""
+    """A puck that is to reach a position at any speed."""
 
     goal_names = ("x", "y")
 
@@ -79,7 +80,7 @@ ACROSS = Task(np.array([-1.5, 0.1, 0.0, 0.0]), np.array([1.5, 0.0, 0.0, 0.0]))
 
 
 def least_squares(task: Task) -> float:
-    """The largest reward by least squares: weights times (actions, miss at the end)."""
+    """Return the largest reward by least squares: weights times (actions, miss at the end)."""
     mdp, (n, m), num = PUCK.mdp, (4, 2), PUCK.mdp.num_steps
     step = np.eye(n)
     step[0, 2] = step[1, 3] = mdp.dt
@@ -96,7 +97,7 @@ def least_squares(task: Task) -> float:
 
 
 def densely(states: np.ndarray, num: int = 200) -> np.ndarray:
-    """Points of the straight lines between states [T+1, n]."""
+    """Return points of the straight lines between states [T+1, n]."""
     share = np.linspace(0.0, 1.0, num)[:, None, None]
     return (states[:-1] + share * np.diff(states, axis=0)).reshape(-1, states.shape[1])
 
@@ -156,7 +157,7 @@ class TestOptimum:
             assert len(found.rewards) > 1  # the other side was found as well
 
     def test_is_as_good_as_passing_points_tells(self) -> None:
-        """Around a wall's end the best path is the best of those that pass the end at some time."""
+        """Around a wall's end the best path passes exactly at the end."""
         wall = Box(x=(-0.02, 0.02), y=(-9.0, 0.8))
         (found,) = optimal_control(PUCK, wall, ACROSS, limits=FREE)
         free = least_squares(ACROSS)
@@ -206,7 +207,7 @@ class TestOptimum:
 
 class TestRealTasks:
     def test_at_least_as_good_as_the_authors(self, shared_data: Path) -> None:
-        """No violation, ends within 0.05, rewards at least theirs in 30 of 33."""
+        """No violation, ends within 0.05 of the goal, rewards at least the authors' in 30 of 33."""
         folder, problem = shared_data / "pendulum", pendulum(10.0)
         cell = problem.hypotheses.constraint(55)
         with (folder / "tasks.csv").open() as file:
@@ -260,7 +261,7 @@ class TestRefusals:
     def test_a_constraint_that_holds_everything_else(self) -> None:
         trap = Box(x=(-1.4, 9.0))
         moving = Task(np.array([-1.5, 0.0, 2.0, 0.0]), ACROSS.goal)
-        with pytest.raises(ValueError, match=r"no path was found that keeps out of x \[-1.4, 9\)"):
+        with pytest.raises(ValueError, match=r"no path was found that avoids x \[-1.4, 9\)"):
             optimal_control(PUCK, trap, moving, num_guesses=2)
 
     def test_an_episode_that_ends_early(self) -> None:
@@ -290,12 +291,12 @@ class TestRefusals:
             optimal_control(pendulum(10.0), HalfSpace(3.5, theta=1.0), task)
 
     def test_a_path_that_the_dynamics_do_not_make(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Were an expression wrong, no demonstration would come of it."""
+        """A wrong expression of the dynamics is an error, not a demonstration."""
 
         def wrong(mdp: MDP, num_steps: int, limits: np.ndarray) -> object:
             return Transcription(Puck(dt=0.25), num_steps, limits)
 
-        monkeypatch.setattr(module, "_transcription", lambda: wrong)
+        monkeypatch.setattr(path_search, "_transcription", lambda: wrong)
         with pytest.raises(ValueError, match=r"2 Unlike_Dynamics.*write dynamics with arithmetic"):
             optimal_control(PUCK, NOWHERE, ACROSS, limits=FREE, num_guesses=2)
 
@@ -304,7 +305,7 @@ class TestRefusals:
         doomed = Task(np.array([-1.5, 0.0, 2.0, 0.0]), ACROSS.goal)
         back = Task(np.array([-1.5, 0.0, 0.0, 0.0]), np.array([-2.0, 0.0, 0.0, 0.0]))
         tasks = Task.stack([doomed, back, doomed])
-        search = module.Search(num_guesses=2)
+        search = path_search.Search(num_guesses=2)
         (found,) = module.first_optima(PUCK, trap, tasks, 1, search)
         assert found.demonstration.task.goal.tolist() == back.goal.tolist()
         assert found.demonstration.name == "demo_000"

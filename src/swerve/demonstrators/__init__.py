@@ -1,1 +1,1 @@
-"""Ways to make demonstrations."""
+"""Making demonstrations: samples of pi_c, optimal control, and human-like drivers of the car."""

@@ -1,14 +1,15 @@
-"""Human-like drivers of the car, who know nothing of a reward.
+"""Human-like drivers of the car: a model of people, not of the reward.
 
-A driver follows a point of the lane that is `preview` ahead, as it was `reaction_time` ago, and
-corrects the course every `hold` seconds, never quite as meant:
+A driver steers towards a point of the lane that lies `preview` seconds ahead, acts on the state
+of `reaction_time` ago, and corrects the course every `hold` seconds, with noise:
 
     turn = gain (atan2(x_aim - x, preview v) - heading),   executed (1 + noise e) turn + noise e',
 
-e and e' standard normal. An obstacle comes into view at `sight`; the driver then brakes, begins to
-steer when `steering_time` is left, passes with some clearance, goes back to the lane and speeds up
-again. Who finds that the obstacle is near and the way not yet clear brakes hard. No two drivers are
-alike. One who hits the obstacle drives again; one who leaves the track has left it.
+e and e' standard normal. An obstacle comes into view at the distance `sight`. The driver then
+brakes, begins to steer when `steering_time` is left, passes with some clearance, goes back to the
+lane and speeds up again. A driver who is near the obstacle and not yet clear of it brakes hard.
+Each driver has parameters of its own. A drive that hits the obstacle is repeated with new noise; a
+drive that leaves the track ends there and is kept.
 
 Lengths in m, times in s, angles in rad.
 """
@@ -32,33 +33,34 @@ from swerve.demonstrations.demonstration import Demonstration
 from swerve.systems.car import ACCELERATIONS, TRACK, TURN_RATES, Car
 
 Step = Callable[[jax.Array, jax.Array], jax.Array]  # dynamics
-TURN_GAIN = 2.5  # rad/s per rad
-SPEED_GAIN = 2.0  # m/s2 per m/s
-CREEP = 0.3  # m/s, of who has to brake hard
-TIGHT = 0.8  # s to the obstacle: who is not clear of it by then brakes hard
+TURN_GAIN = 2.5  # rad/s of turn rate per rad of heading error
+SPEED_GAIN = 2.0  # m/s2 of acceleration per m/s of speed error
+CREEP = 0.3  # m/s: speed to brake to when the obstacle is near and the way is not clear
+TIGHT = 0.8  # s to the obstacle: a driver not clear of it by then brakes hard
 START = (0.0, 0.0, 0.0, 1.0)  # m, m, rad, m/s: in the lane, along it
-FAST = 1.2  # times the speed past the obstacle: who is faster brakes before steering
-LAST = 1.3  # m to the obstacle, below which nobody is too fast to steer
-MOST_TRIES = 50  # drives that may hit the obstacle before it counts as one that nobody passes
-LEAST_PREVIEW = 0.25  # m: nobody looks closer than this
+FAST = 1.2  # times the speed past the obstacle: a faster driver brakes before steering
+LAST = 1.3  # m to the obstacle: closer than this, a driver steers at any speed
+MOST_TRIES = 50  # drives that hit the obstacle before it counts as impossible to pass
+LEAST_PREVIEW = 0.25  # m: least distance of the point that is steered to
+LEAST_GAP = 0.25  # m: least width of track beside the obstacle, for a driver to pass
 
 
 @dataclass(frozen=True)
 class Driver:
-    """What one driver is like.
+    """Parameters of one driver.
 
     Attributes:
-      lane: x that is kept to where nothing is in the way.
-      speed: with nothing in the way [m/s].
+      lane: x to keep to where nothing is in the way [m].
+      speed: speed where nothing is in the way [m/s].
       slow: speed past the obstacle [m/s].
-      sight: how far away an obstacle is seen.
-      reaction_time: how old what is acted upon is.
-      hold: time between two corrections.
-      preview: how far ahead the point is that is steered to [s].
-      steering_time: to the obstacle, when steering begins.
-      clearance: to the obstacle's side that is aimed at.
-      past: how far beyond the obstacle before going back.
-      noise: of corrections, a share of them, and of a tenth of the largest.
+      sight: distance at which an obstacle is seen [m].
+      reaction_time: age of the state that the driver acts on [s].
+      hold: time between two corrections [s].
+      preview: time ahead of the point that is steered to [s].
+      steering_time: time to the obstacle at which steering begins [s].
+      clearance: distance to keep from the obstacle's side [m].
+      past: distance beyond the obstacle before going back to the lane [m].
+      noise: standard deviation of corrections, relative to each and to a tenth of the largest.
     """
 
     lane: float
@@ -74,8 +76,8 @@ class Driver:
     noise: float
 
 
-def draw_driver(generator: np.random.Generator) -> Driver:
-    """Return a driver like no other."""
+def random_driver(generator: np.random.Generator) -> Driver:
+    """Return a driver with random parameters."""
     return Driver(
         lane=generator.normal(0.0, 0.02),
         speed=generator.uniform(0.9, 1.4),
@@ -94,18 +96,18 @@ def draw_driver(generator: np.random.Generator) -> Driver:
 def drives(
     mdp: Car, obstacle: Box | None = None, num: int = 50, *, seed: int = 0
 ) -> list[Demonstration]:
-    """Return drives along the track, each by another driver, all from START.
+    """Return drives along the track from START, each by another driver.
 
     Args:
       mdp: the car.
-      obstacle: a box in x and y that is in the way; nothing if None.
-      num: how many.
-      seed: of drivers and their noise.
+      obstacle: a box in x and y on the track; None for a free track.
+      num: number of drives.
+      seed: seed of the drivers and their noise.
 
     Returns:
-      Demonstrations drive_00 and so on with times and actions, turn rates and accelerations within
-      the car's limits, until the goal line, the edge of the track or the horizon is reached. None
-      enters the obstacle.
+      Demonstrations drive_00 and so on with times and actions (turn rates and accelerations within
+      the car's limits), until the goal line, the edge of the track or the horizon is reached. No
+      drive enters the obstacle.
 
     Raises:
       ValueError: if the obstacle is not a box in x and y, leaves no way past, or
@@ -119,7 +121,7 @@ def drives(
     found = []
     for k in range(num):
         generator = np.random.default_rng([seed, k])
-        states, actions = _safely(mdp, step, draw_driver(generator), obstacle, generator)
+        states, actions = _safely(mdp, step, random_driver(generator), obstacle, generator)
         times = np.arange(len(states)) * mdp.dt
         name = f"drive_{k:0{len(str(num - 1))}d}"
         found.append(Demonstration(name, states, task, times=times, actions=actions))
@@ -127,16 +129,17 @@ def drives(
 
 
 def _check_obstacle(obstacle: Box) -> None:
+    """Raise ValueError unless an obstacle is a box in x and y that leaves a way past."""
     if not isinstance(obstacle, Box) or set(obstacle.intervals) != {"x", "y"}:
         raise ValueError(
             f"obstacle: expected a box in x and y, as in swerve.Box(x=(-0.3, 0.2), y=(6.7, 7.4)), "
             f"got {getattr(obstacle, 'name', obstacle)}"
         )
     low, high = obstacle.intervals["x"]
-    if max(low - TRACK[0], TRACK[1] - high) < 0.25:
+    if max(low - TRACK[0], TRACK[1] - high) < LEAST_GAP:
         raise ValueError(
-            f"obstacle: expected 0.25 m of the track, {TRACK[0]} to {TRACK[1]} m, left beside it, "
-            f"got {obstacle.name}: make it narrower"
+            f"obstacle: expected {LEAST_GAP} m of the track, {TRACK[0]} to {TRACK[1]} m, "
+            f"left beside it, got {obstacle.name}: make it narrower"
         )
 
 
@@ -151,7 +154,7 @@ def _safely(
     assert obstacle is not None
     raise ValueError(
         f"obstacle: expected one that drivers from {list(START)} can pass, got {obstacle.name}, "
-        f"which one hit {MOST_TRIES} times: move it further along the track"
+        f"which one driver hit {MOST_TRIES} times: move it further along the track"
     )
 
 

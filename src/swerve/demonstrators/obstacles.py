@@ -1,15 +1,15 @@
-"""Constraints as convex obstacles, which a path avoids where something separates the two.
+"""Constraints as convex obstacles, each separated by a plane from every step of a path.
 
-A convex set and a segment from x to y have no point in common where, for some weights l of the
-set's sides,
+A convex set and a segment from x to y have no point in common if there are weights l of the set's
+sides with
 
     {z: A z < b}:    l^T (A x - b) >= 0,    l^T (A y - b) >= 0,    l >= 0,    sum l = 1,
     |z - c| < r:     l^T (x - c)   >= r,    l^T (y - c)   >= r,    |l| <= 1.
 
-Which weights is for the solver to find, so that a path may pass a corner at any time, and what lies
-between two of its states is avoided as well (Zhang, Liniger and Borrelli, IEEE T-CST 2021).
+The solver finds the weights of each step, so a path may pass a corner at any time, and avoids the
+set between two of its states too (Zhang, Liniger and Borrelli, IEEE T-CST 2021).
 
-Shapes: n state dimensions, m action dimensions, F sides, k dimensions that an obstacle is about.
+Shapes: T steps, n state dimensions, m action dimensions, F sides, k dimensions of an obstacle.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ import numpy as np
 from swerve.base.space import TWO_PI, StateSpace, is_full_turn
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import ActionBox, Box
-from swerve.constraints.polygons import triangles
-from swerve.constraints.shapes import Ball, HalfSpace, Polygon
+from swerve.constraints.polygon_geometry import triangles
+from swerve.constraints.polygons import Polygon
+from swerve.constraints.shapes import Ball, HalfSpace
 from swerve.constraints.state_action import StateAction
 
-UNUSED = 0.02  # weight of sides that do not separate, in guesses
-PUSH = 1.1  # times the way out of an obstacle, by which guesses are pushed out
+UNUSED = 0.02  # weight, in guesses, of sides that do not separate: above 0, inside the bounds
+PUSH = 1.1  # times the distance to an obstacle's side, by which guesses are pushed out of it
 
 
 class Path(NamedTuple):
@@ -57,13 +58,12 @@ class Obstacle:
     """A convex set of states, of actions, or of both together.
 
     Attributes:
-      columns: [k] which of the n states, and m actions after them, it is about.
-      normal: [F, k] the sides A, of length 1 when states and actions are told in their `unit`; the
-        identity for balls.
+      columns: [k] columns that bound the set, of the n states and the m actions after them.
+      normal: [F, k] the sides A, of length 1 in units of `obstacles_of`; the identity for balls.
       offset: [F] b, or the centre of a ball.
-      radius: of a ball, 0 for what has sides.
-      angles: (column, low, high) of the angles among the columns, of which every turn counts.
-      on_segments: whether it is about states alone, and so about what lies between them.
+      radius: radius of a ball; 0 for a set with sides.
+      angles: (column, low, high) of the angles among the columns; the set repeats every full turn.
+      on_segments: whether the set is of states alone, and so to avoid between two states too.
     """
 
     columns: tuple[int, ...]
@@ -75,11 +75,11 @@ class Obstacle:
 
     @property
     def kind(self) -> tuple:
-        """What obstacles have in common that differ in where they are alone."""
+        """Everything but the place of the set: obstacles of one kind share a solver."""
         return (self.columns, self.normal.tobytes(), self.radius, self.on_segments)
 
     def images(self, low: np.ndarray, high: np.ndarray) -> list[Obstacle]:
-        """Return it at every turn of its angles where states from low to high [n] may meet it."""
+        """Return the obstacle at every full turn where states from low to high [n] may enter it."""
         turns = [
             range(math.ceil((low[k] - last) / TWO_PI), math.floor((high[k] - first) / TWO_PI) + 1)
             for k, first, last in self.angles
@@ -93,7 +93,7 @@ class Obstacle:
         return found
 
     def weights(self, path: Path) -> np.ndarray:
-        """Return weights [T, F] that separate the steps of a path from the set where any do."""
+        """Return weights [T, F] that separate each step of a path from the set, where any do."""
         beyond = self._beyond(path.steps)
         if self.radius > 0.0:
             middle = beyond.mean(axis=1)
@@ -103,7 +103,7 @@ class Obstacle:
         return weights / weights.sum(axis=1, keepdims=True)
 
     def pushed(self, path: Path) -> Iterator[Path]:
-        """Yield a path with the steps that enter the set moved out of it, by each side in turn."""
+        """Yield, for each side of the set, the path with its entering steps moved out past it."""
         last = path.actions[-1:]
         points = np.concatenate([path.states, np.concatenate([path.actions, last])], axis=1)
         beyond, num_states = self._beyond(points), path.states.shape[1]
@@ -121,9 +121,9 @@ class Obstacle:
             yield Path(moved[:, :num_states], moved[:-1, num_states:])
 
     def _enter(self, beyond: np.ndarray) -> np.ndarray:
-        """Return [T+1] whether points, told by how far they are beyond each side [T+1, F], are in.
+        """Return whether each point [T+1] enters the set, by its distance beyond sides [T+1, F].
 
-        Where what lies between states counts, so do both ends of a step that passes through.
+        Where steps between states count, both ends of a step through the set enter it.
         """
         begin, along = beyond, np.zeros_like(beyond)
         if self.on_segments:
@@ -143,7 +143,7 @@ class Obstacle:
         return np.append(passing, False) | np.append(False, passing)
 
     def _beyond(self, points: np.ndarray) -> np.ndarray:
-        """Return [..., F] how far points [..., n + m] are beyond each side."""
+        """Return the distances [..., F] of points [..., n + m] beyond each side."""
         return points[..., list(self.columns)] @ self.normal.T - self.offset
 
 
@@ -153,13 +153,13 @@ def obstacles_of(
     """Return convex sets that together make up a constraint.
 
     Args:
-      constraint: what is to be avoided.
-      space: what the states are.
+      constraint: the constraint to avoid.
+      space: the state space.
       action_names: the m names of the actions.
-      unit: [n + m] in which distances to sides are told.
+      unit: [n + m] units that distances to sides are measured in.
 
     Raises:
-      ValueError: if there is no telling its sides, as for predicates and maps.
+      ValueError: if the sides of a part are unknown, as for predicates and maps.
     """
     found = []
     for part in constraint.parts:
@@ -175,7 +175,7 @@ def obstacles_of(
 def _convex(
     part: Constraint, space: StateSpace, action_names: tuple[str, ...], unit: np.ndarray
 ) -> list[Obstacle]:
-    """Return the convex sets that make up a constraint that is no union."""
+    """Return the convex sets that make up a constraint other than a union."""
     names = (*space.names, *action_names)
     if isinstance(part, Box):
         rows = [
@@ -203,13 +203,13 @@ def _convex(
         centre, identity = np.array(list(part.centre.values())), np.eye(len(columns))
         return [Obstacle(columns, identity, centre, part.radius, _angles(part, space))]
     raise ValueError(
-        f"{part.name}: expected a constraint with sides, such as Box, Ball, HalfSpace or Polygon "
-        f"without a depth, to lead a path around, got {type(part).__name__}"
+        f"{part.name}: expected a constraint with sides that a path can be led around, such as "
+        f"Box, Ball, HalfSpace or Polygon without a depth, got {type(part).__name__}"
     )
 
 
 def _angles(part: Box | Ball, space: StateSpace) -> tuple[tuple[int, float, float], ...]:
-    """Return column, low and high of the angles in which a set has ends."""
+    """Return column, low and high of the angles that bound a set."""
     return tuple(
         (space.column(name), low, high)
         for name, (low, high) in part.spans.items()
@@ -223,7 +223,9 @@ def _sides(
     """Return {z: a^T z < b for each row (a, b)}, each divided by the length of a times the unit."""
     rows = [(row, limit) for row, limit in rows if math.isfinite(limit)]
     if not rows:
-        raise ValueError("constraint: expected one that leaves something, it forbids everything")
+        raise ValueError(
+            "constraint: expected one that allows something, but it forbids everything"
+        )
     columns = tuple(sorted({names.index(name) for row, _ in rows for name in row}))
     normal, offset = np.zeros((len(rows), len(columns))), np.zeros(len(rows))
     for k, (row, limit) in enumerate(rows):
@@ -236,7 +238,7 @@ def _sides(
 
 
 def _edge_rows(corners: np.ndarray, names: tuple[str, str]) -> list[tuple[dict[str, float], float]]:
-    """Return the sides of a triangle [3, 2] whose corners go round to the left."""
+    """Return the sides of a triangle [3, 2] with corners in anticlockwise order."""
     rows = []
     for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         outward = np.array([end[1] - begin[1], begin[0] - end[0]])
@@ -245,11 +247,11 @@ def _edge_rows(corners: np.ndarray, names: tuple[str, str]) -> list[tuple[dict[s
 
 
 def _both(states: Obstacle, action: Obstacle) -> Obstacle:
-    """Return where states lie in one set and actions in another."""
+    """Return the set of states in one set together with actions in another."""
     if states.radius > 0.0:
         raise ValueError(
-            "expected states with straight sides where actions are forbidden in some states "
-            "alone, got a ball: use a Box or a Polygon"
+            "expected states with straight sides where actions are forbidden in some states only, "
+            "got a ball: use a Box or a Polygon"
         )
     split = len(states.columns)
     normal = np.zeros((len(states.offset) + len(action.offset), split + len(action.columns)))

@@ -1,11 +1,11 @@
-"""Functions written with jax.numpy as CasADi expressions, for solvers that want exact derivatives.
+"""Functions written with jax.numpy as CasADi expressions, for solvers that need exact derivatives.
 
-JAX traces a function of vectors into a list of elementary operations, the jaxpr. Each is done here
-on arrays of CasADi scalars instead of numbers:
+JAX traces a function of vectors into a list of elementary operations, the jaxpr. This module
+applies each operation to arrays of CasADi scalars instead of numbers:
 
     arithmetic     one CasADi operation for each element,
-    rearrangement  done by JAX on the positions of the elements, which are then picked,
-    calls, loops   their bodies in turn, loops of fixed length unrolled.
+    rearrangement  JAX moves the positions of the elements, which are then picked,
+    calls, loops   their bodies in turn; loops of fixed length are unrolled.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "tanh": casadi.tanh,
 }
 SAME = ("copy", "reduce_precision", "stop_gradient")
-NOT_OF_INTEGERS = ("and", "div", "not", "or")  # which they treat otherwise than truths and reals
+NOT_OF_INTEGERS = ("and", "div", "not", "or")  # of integers, these differ from CasADi's operations
 REARRANGING = (
     "broadcast_in_dim",
     "concatenate",
@@ -87,8 +87,8 @@ REDUCING: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_prod": operator.mul,
     "reduce_sum": operator.add,
 }
-PLACES = {"gather": 1, "dynamic_slice": 1}  # from which operand on they say where to look
-INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # what calls name the function that they call
+PLACES = {"gather": 1, "dynamic_slice": 1}  # number of the first operand that is a position
+INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # options of a call that hold the called function
 
 
 def as_casadi(function: Callable[..., Any], sizes: Sequence[int], label: str) -> casadi.Function:
@@ -96,11 +96,11 @@ def as_casadi(function: Callable[..., Any], sizes: Sequence[int], label: str) ->
 
     Args:
       function: maps vectors to one array of numbers, which is flattened.
-      sizes: of the vectors.
-      label: what messages call it.
+      sizes: lengths of the vectors.
+      label: name of the function in messages.
 
     Raises:
-      ValueError: if it does something that there is no CasADi expression for.
+      ValueError: if the function uses an operation without a CasADi expression.
     """
     shapes = [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes]
     closed = jax.make_jaxpr(function)(*shapes)
@@ -130,7 +130,7 @@ def _objects(values: Sequence[Any], shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _evaluate(jaxpr: Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
-    """Return what a jaxpr makes of arrays of numbers or of CasADi scalars."""
+    """Return the results of a jaxpr applied to arrays of numbers or of CasADi scalars."""
     known: dict[Any, Any] = {}
 
     def read(variable: Any) -> Any:
@@ -148,7 +148,7 @@ def _apply(step: Any, operands: list[Any]) -> Sequence[Any]:
     """Return the results of one operation.
 
     Raises:
-      NotImplementedError: with its name, if there is no CasADi expression for it.
+      NotImplementedError: with the operation's name, if it has no CasADi expression.
     """
     name, options = step.primitive.name, step.params
     if not any(_is_symbolic(operand) for operand in operands):
@@ -184,6 +184,7 @@ def _apply(step: Any, operands: list[Any]) -> Sequence[Any]:
 
 
 def _is_symbolic(operand: Any) -> bool:
+    """Return whether an operand is an array of CasADi scalars."""
     return isinstance(operand, np.ndarray) and operand.dtype == object
 
 
@@ -196,17 +197,19 @@ def _array(operand: Any) -> np.ndarray:
 
 
 def _elementwise(function: Callable[..., Any], operands: Sequence[Any]) -> np.ndarray:
+    """Return the values of a function of scalars for each element of broadcast operands."""
     arrays = np.broadcast_arrays(*map(_array, operands))
     values = [function(*items) for items in zip(*(a.ravel() for a in arrays), strict=True)]
     return _objects(values, arrays[0].shape)
 
 
 def _is_integer(variable: Any) -> bool:
+    """Return whether a variable of a jaxpr holds integers."""
     return bool(np.issubdtype(variable.aval.dtype, np.integer))
 
 
 def _converted(step: Any, operand: np.ndarray) -> np.ndarray:
-    """Return numbers as another type: integers are cut off, truths are what is not 0."""
+    """Return numbers as another type: to integers by truncation, to truths by `!= 0`."""
     before, after = step.invars[0].aval.dtype, step.params["new_dtype"]
     if np.issubdtype(after, np.integer) and np.issubdtype(before, np.floating):
         return _elementwise(lambda x: casadi.sign(x) * casadi.floor(casadi.fabs(x)), [operand])
@@ -234,7 +237,7 @@ ROUNDING = {
 
 
 def _rearranged(step: Any, operands: Sequence[Any]) -> list[np.ndarray]:
-    """Return elements in another order: JAX moves their positions."""
+    """Return the elements in a new order, found by applying the operation to positions."""
     name = step.primitive.name
     first = PLACES.get(name, len(operands))
     pool: list[Any] = []
@@ -253,7 +256,7 @@ def _rearranged(step: Any, operands: Sequence[Any]) -> list[np.ndarray]:
 def _reduced(
     function: Callable[[Any, Any], Any], array: np.ndarray, axes: tuple[int, ...]
 ) -> np.ndarray:
-    """Return an array with some axes taken together."""
+    """Return an array with some axes reduced by a function of two values."""
     kept = [axis for axis in range(array.ndim) if axis not in axes]
     shape = tuple(array.shape[axis] for axis in kept)
     rows = array.transpose(*kept, *axes).reshape(int(np.prod(shape)), -1)
@@ -261,7 +264,7 @@ def _reduced(
 
 
 def _product(left: np.ndarray, right: np.ndarray, summed: Any, batched: Any) -> np.ndarray:
-    """Return a product of matrices or vectors."""
+    """Return a product of matrices or vectors, `summed` the axes of each to sum over."""
     if any(len(axes) for axes in batched):
         raise NotImplementedError("a batched dot_general")
     return np.asarray(np.tensordot(left, right, summed), object)
@@ -277,7 +280,7 @@ def _scanned(
     num_carry: int,
     **_: Any,
 ) -> list[Any]:
-    """Return what a loop of fixed length makes of its operands."""
+    """Return the last carry and the stacked outputs of a loop of fixed length, unrolled."""
     fixed, carry = operands[:num_consts], operands[num_consts : num_consts + num_carry]
     rows = operands[num_consts + num_carry :]
     outputs = []

@@ -1,10 +1,11 @@
 """Optimal control by direct transcription: all states and actions of a path are unknowns.
 
     maximise   sum_t r(s_t, a_t, s_{t+1}) + r_T(s_T)
-    such that  s_0 = start,   s_{t+1} = f(s_t, a_t),   every step keeps out of every obstacle
+    such that  s_0 = start,   s_{t+1} = f(s_t, a_t),   every step avoids every obstacle
 
-is a nonlinear program, sparse since each line of it is about one step, which IPOPT solves with
-exact first and second derivatives. Obstacles are as `obstacles` tells, their weights more unknowns.
+is a nonlinear program. It is sparse, since each of its conditions concerns one step, and IPOPT
+solves it with exact first and second derivatives. The weights of obstacles (see `obstacles`) are
+unknowns too.
 
 Shapes: T steps, n state dimensions, m action dimensions, K obstacles, F sides of each.
 """
@@ -22,8 +23,8 @@ from swerve.demonstrators.obstacles import Obstacle, Path
 from swerve.demonstrators.symbolic import as_casadi
 from swerve.problem.mdp import MDP
 
-GAP = 1e-5  # in units of the states, by which paths keep clear of obstacles
-MAX_ITERATIONS = 200
+GAP = 1e-5  # in units of `obstacles_of`: distance from obstacles, above the solver's tolerance
+MAX_ITERATIONS = 200  # of IPOPT for one program
 OPTIONS = {
     "print_time": False,
     "ipopt": {
@@ -38,13 +39,13 @@ OPTIONS = {
 
 
 class Solution(NamedTuple):
-    """What the solver ended with.
+    """Last iterate of the solver.
 
     Attributes:
-      path: the last one.
-      reward: its reward.
-      is_optimal: whether it is a local optimum, to IPOPT's tolerance.
-      status: IPOPT's own word for how it ended.
+      path: the path.
+      reward: reward of the path.
+      is_optimal: whether the path is a local optimum, to IPOPT's tolerance.
+      status: IPOPT's return status.
     """
 
     path: Path
@@ -62,7 +63,7 @@ class Transcription:
       limits: [2, m] least and largest actions, which may be infinite.
 
     Raises:
-      ValueError: if one of the methods cannot be differentiated.
+      ValueError: if one of these methods cannot be differentiated.
     """
 
     def __init__(self, mdp: MDP, num_steps: int, limits: np.ndarray) -> None:
@@ -79,8 +80,8 @@ class Transcription:
 
         Args:
           task: start and goal.
-          obstacles: what to keep out of.
-          guess: where to begin; it need neither follow the dynamics nor keep out.
+          obstacles: the obstacles to avoid.
+          guess: path to begin with; it need neither follow the dynamics nor avoid obstacles.
         """
         solver, limits = self._solver(obstacles)
         (n, m, _), num_steps = self._sizes, self._num_steps
@@ -107,20 +108,21 @@ class Transcription:
         return Solution(path, -float(found["f"]), status == "Solve_Succeeded", status)
 
     def follow(self, start: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """Return the states [T+1, n] that actions [T, m] lead to."""
+        """Return the states [T+1, n] that actions [T, m] lead to from a start."""
         states = [np.asarray(start, float)]
         for action in actions:
             states.append(self._dynamics(states[-1], action).full().ravel())
         return np.array(states)
 
     def _solver(self, obstacles: Sequence[Obstacle]) -> tuple[casadi.Function, np.ndarray]:
-        """Return the solver for such obstacles, wherever they are, and limits of its lines."""
+        """Return the solver for obstacles of these kinds, and the limits of its conditions."""
         key = tuple(obstacle.kind for obstacle in obstacles)
         if key not in self._solvers:
             self._solvers[key] = self._built(obstacles)
         return self._solvers[key]
 
     def _built(self, obstacles: Sequence[Obstacle]) -> tuple[casadi.Function, np.ndarray]:
+        """Return a new solver and the limits [2, conditions]; places are parameters of it."""
         (n, m, g), num_steps = self._sizes, self._num_steps
         states = casadi.SX.sym("states", n, num_steps + 1)
         actions = casadi.SX.sym("actions", m, num_steps)
@@ -128,24 +130,25 @@ class Transcription:
         offsets = [casadi.SX.sym("offset", len(item.offset)) for item in obstacles]
         weights = [casadi.SX.sym("weights", len(item.offset), num_steps) for item in obstacles]
         cost = -self._terminal_reward(states[:, -1], goal)
-        lines: list[tuple[casadi.SX, float, float]] = []
+        conditions: list[tuple[casadi.SX, float, float]] = []
         for t in range(num_steps):
             state, action, after = states[:, t], actions[:, t], states[:, t + 1]
             cost -= self._reward(state, action, after, goal)
-            lines.append((self._dynamics(state, action) - after, 0.0, 0.0))
+            conditions.append((self._dynamics(state, action) - after, 0.0, 0.0))
             for item, offset, weight in zip(obstacles, offsets, weights, strict=True):
                 ends = (state, after) if item.on_segments else (state,)
                 points = [casadi.vertcat(end, action) for end in ends]
-                lines += _separating(item, offset, weight[:, t], points)
+                conditions += _separating(item, offset, weight[:, t], points)
         unknowns = [states, actions, *weights]
         program = {
             "x": casadi.vertcat(*(casadi.vec(part) for part in unknowns)),
             "p": casadi.vertcat(goal, *offsets),
             "f": cost,
-            "g": casadi.vertcat(*(line for line, _, _ in lines)),
+            "g": casadi.vertcat(*(value for value, _, _ in conditions)),
         }
         limits = np.concatenate(
-            [np.full((2, line.numel()), [[low], [high]]) for line, low, high in lines], axis=1
+            [np.full((2, value.numel()), [[low], [high]]) for value, low, high in conditions],
+            axis=1,
         )
         return casadi.nlpsol("solver", "ipopt", program, OPTIONS), limits
 
@@ -153,18 +156,18 @@ class Transcription:
 def _separating(
     obstacle: Obstacle, offset: casadi.SX, weight: casadi.SX, points: Sequence[casadi.SX]
 ) -> list[tuple[casadi.SX, float, float]]:
-    """Return what must lie between which limits for weights to separate points from a set."""
-    lines = []
+    """Return the conditions (value, low, high) for weights to separate points from a set."""
+    conditions = []
     for point in points:
         beyond = casadi.DM(obstacle.normal) @ point[list(obstacle.columns)] - offset
-        lines.append((casadi.dot(weight, beyond), obstacle.radius + GAP, np.inf))
+        conditions.append((casadi.dot(weight, beyond), obstacle.radius + GAP, np.inf))
     if obstacle.radius > 0.0:
-        lines.append((casadi.sumsqr(weight), -np.inf, 1.0))
+        conditions.append((casadi.sumsqr(weight), -np.inf, 1.0))
     else:
-        lines.append((casadi.sum1(weight), 1.0, 1.0))
-    return lines
+        conditions.append((casadi.sum1(weight), 1.0, 1.0))
+    return conditions
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return arrays as the one vector of unknowns."""
+    """Return arrays joined into one vector of unknowns."""
     return np.concatenate([part.ravel() for part in parts])
