@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,10 +28,10 @@ from swerve.presentation.plane_picture import picture
 from swerve.presentation.shading import Shading, of_probability
 
 NUM_LINES = 5  # hypotheses with a line of their own: those that were most probable at some time
-LEAST_SUM = 0.01  # probability: where the other hypotheses never have more together, no line
+LEAST_SUM = 0.01  # probability: all other hypotheses have one line if their sum ever exceeds this
 STYLES = ("-", "--", "-.", ":", (0, (1, 1)))
 COLOURS = ("#5b1a78", "#d55e00", "#0072b2", "#009e73", "#999999")
-NUM_FRAMES = 60  # at most
+NUM_FRAMES = 60  # at most, of an animation
 FRAME, LAST = 100, 2_000  # ms, for which each frame and the last one are shown
 DPI = 80  # pixels an inch of an animation: small files
 
@@ -49,7 +49,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
       width: of the picture [in].
 
     Raises:
-      ValueError: if matplotlib knows no such format, or it is too narrow for its text.
+      ValueError: if matplotlib knows no such format, or the picture is too narrow for its text.
     """
     shown = np.argsort(-course.hypotheses.max(axis=0), kind="stable")[:NUM_LINES].tolist()
     header = [
@@ -60,14 +60,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     axes = figure.add_subplot()
     _draw_line(axes, course, course.none, "no constraint", color=INK, lw=2.0)
     for index, style, colour in zip(shown, STYLES, COLOURS, strict=False):
-        name = cut(course.evidence.problem.hypotheses.name(index), 40)
-        label = f"{index}: {name}"
-        _draw_line(axes, course, course.hypotheses[:, index], label, color=colour, ls=style, lw=1.5)
-        if course.entered[-1, index]:
-            k = int(course.entered[:, index].argmax())
-            axes.plot(
-                course.times[k], course.hypotheses[k, index], "x", color=colour, clip_on=False
-            )
+        _draw_hypothesis(axes, course, index, color=colour, ls=style, lw=1.5)
     others = course.hypotheses.sum(axis=1) - course.hypotheses[:, shown].sum(axis=1)
     if others.max() > LEAST_SUM:
         label = f"all other hypotheses ({course.hypotheses.shape[1] - len(shown)})"
@@ -80,9 +73,19 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     return written(figure, path)
 
 
-def _draw_line(axes: Axes, course: Course, values: np.ndarray, label: str, **style: object) -> None:
-    """Draw values [L + 1] against time, the last, after the end, as a dot."""
-    [line] = axes.plot(course.times[:-1], values[:-1], label=label, **style)  # pyright: ignore
+def _draw_hypothesis(axes: Axes, course: Course, index: int, **style: Any) -> None:
+    """Draw the probability of a hypothesis, with a cross where the demonstration enters it."""
+    values = course.hypotheses[:, index]
+    name = cut(course.evidence.problem.hypotheses.name(index), 40)
+    _draw_line(axes, course, values, f"{index}: {name}", **style)
+    if course.entered[-1, index]:
+        k = int(course.entered[:, index].argmax())
+        axes.plot(course.times[k], values[k], "x", color=style["color"], clip_on=False)
+
+
+def _draw_line(axes: Axes, course: Course, values: np.ndarray, label: str, **style: Any) -> None:
+    """Draw values [L + 1] against time: a line, and a dot for the last value, after the end."""
+    [line] = axes.plot(course.times[:-1], values[:-1], label=label, **style)
     axes.plot(course.times[-1], values[-1], "o", color=line.get_color(), ms=5, clip_on=False)
 
 

@@ -38,7 +38,7 @@ ROUNDING = 1e-9  # rad, and share of an axis: differences below it come from rou
 ROUND = 120  # corners of the polygon that a ball is drawn as
 CORNERS = [[0, 2], [1, 2], [1, 3], [0, 3]]  # columns of a rectangle's x and y, corner by corner
 MAX_IMAGES = 4  # rectangles that a box becomes where the edges of two angles cut it
-LABEL_ROOM = 1.3  # distance of a label from its constraint, in half extents of the label
+LABEL_ROOM = 1.3  # half extents of a label, from its centre to the edge of its constraint
 DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)])
 EVERYTHING = (-math.inf, math.inf)
 
@@ -79,7 +79,7 @@ class Plane:
 
     @property
     def is_map(self) -> bool:
-        """Whether the axes are the positions x and y, to be drawn at one scale."""
+        """Whether the axes are the positions x and y, with ranges that one scale can show."""
         x, y = self.limits[:, 1] - self.limits[:, 0]
         return set(self.names) == {"x", "y"} and bool(1 / 4 <= x / y <= 4)
 
@@ -321,7 +321,7 @@ def _intervals(hypotheses: HypothesisSet, name: str) -> np.ndarray:
 
 
 def _hull(intervals: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return the range of intervals [R, 2] and values [P]; a margin beyond values outside."""
+    """Return the range of intervals [R, 2] and values [P], with a margin at values outside."""
     low, high = float(intervals.min()), float(intervals.max())
     least, most = float(values.min(initial=low)), float(values.max(initial=high))
     margin = MARGIN * (most - least)
@@ -336,5 +336,5 @@ def _whole(low: float, high: float, least: float, most: float) -> tuple[float, f
 
 
 def _wrap(values: np.ndarray, turn: float | np.ndarray) -> np.ndarray:
-    """Return angles [rad] moved into [turn, turn + 2 pi), save for rounding just below."""
+    """Return angles [rad] moved into [turn, turn + 2 pi), but not if just below by rounding."""
     return turn + (values - turn + ROUNDING) % TWO_PI - ROUNDING

@@ -42,7 +42,7 @@ from swerve.problem.record import ProblemRecord
 NUM_LINES = 100  # nominal trajectories drawn, all tasks together
 LABEL_RASTER = 40  # points a side of the raster on which a label is kept off hypotheses
 NARROW = 6.0  # in: in a picture less wide the colour bar goes below the axes
-TIE_WEIGHT = 20  # points of the raster that one tied hypothesis counts for when a label is placed
+TIE_WEIGHT = 20  # points of the raster that a label may hide rather than a tied hypothesis
 
 KNOWN, DEMONSTRATION, NOMINAL = "#3c3c3c", "#0072b2", "#555555"
 

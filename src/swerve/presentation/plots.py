@@ -129,8 +129,10 @@ def _name_bars(axes: Axes, inference: Ranking, width: float, reach: float) -> No
         text = cut(sentences.hypothesis(inference, index), int(width * 14) - len(tied))
         text = f"{sentences.rank(inference, row)}   {text}{tied}"
         axes.text(0.005 * reach, row - 0.25, text, va="bottom", **style)
-        end = inference.score[index] + inference.score_error[index] + 0.015 * reach
-        axes.text(end, row, sentences.number(inference, index), va="center", **style)
+        end = float(inference.score[index] + inference.score_error[index])
+        axes.text(
+            end + 0.015 * reach, row, sentences.number(inference, index), va="center", **style
+        )
 
 
 def plot_contributions(

@@ -40,14 +40,14 @@ MAX_RULED = 40  # cells a side up to which a grid has lines between its cells
 DASHES = {"dash_offset": 0, "dash_list": [3, 3]}  # pt
 
 MAX_ACTIONS = 3  # sets of forbidden actions up to which the legend names each of them
-# marks of the colour bar; the lower ones of a linear scale would lie on one another
+# marks of the colour bar of probabilities, about evenly spaced on the scale of `of_probability`
 PROBABILITIES = {0.0: "0", 1e-3: "0.1 %", 0.01: "1 %", 0.1: "10 %", 0.3: "30 %", 1.0: "100 %"}
 
 STRUCK_OUT, HATCH = "#f3f3f3", "#b4b4b4"
 
 
 def _colour_map() -> LinearSegmentedColormap:
-    """Return magma from light to dark, its yellow end bleached, so that 0 catches no eye."""
+    """Return magma from light to dark, its yellow end bleached, so that 0 does not stand out."""
     share = np.linspace(0.0, 1.0, 256)[:, None]
     bleach = 0.9 * np.clip(1.0 - share / 0.3, 0.0, 1.0)
     magma = mpl.colormaps["magma_r"](0.85 * share[:, 0])[:, :3]
