@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import dataclasses
+import runpy
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +21,13 @@ import swerve
 from swerve import ActionBox, Pendulum, Problem, Task
 from swerve.base.store import StoreError
 from swerve.monitoring.foresight import Foresight
-from swerve.solvers.learn import Nominal
+from swerve.solvers.base import Nominal
 
 NEAR = [((2.5, 0.5), 0), ((3.2, 1.0), 2), ((3.6, 0.0), 4), ((4.4, 1.2), 5)]
 FAR = [((3.0, -1.5), 3), ((1.0, 2.0), 1)]  # from where nominal trajectories pass
 PLACES = NEAR + FAR
 BLUR = 0.01  # of the extent
+STORED = Path(__file__).parents[1] / "data" / "before_packages"
 
 
 @pytest.fixture(scope="module")
@@ -211,3 +215,19 @@ def test_several_goals_are_told_apart() -> None:
     rolled = [np.exp(swerve.Rollouts(nominal, 2000).towards(goal)(here, step)) for goal in goals]
     assert np.abs(rolled[0] - rolled[1]).max() > 0.5
     assert np.abs(np.array(found) - np.array(rolled)).max() < 0.25
+
+
+def test_a_file_written_before_the_packages_foresees_the_same() -> None:
+    made: dict[str, Any] = runpy.run_path(str(STORED / "problems.py"))
+    evidence = swerve.Evidence.load(STORED / "grid.evidence")
+    goal = made["task_of"]("grid").goal[0]
+    for problem in (made["problem_of"]("grid"), evidence.problem):
+        foresight = Foresight.load(STORED / "grid.foresight", problem)
+        assert foresight.learned_from == evidence.digest
+        states = np.array([[0.5, 0.0], [1.5, 2.0], [3.0, -1.0]])
+        found = foresight.log_avoid(states, np.array([0, 2, 4]), goal)
+        np.testing.assert_allclose(found.sum(axis=1), [-14.043565, -20.093121, -17.191087], 1e-5)
+        np.testing.assert_allclose(found.min(axis=1), [-3.072955, -8.90114, -10.47476], 1e-5)
+        assert found.argmin(axis=1).tolist() == [2, 8, 12]
+    with pytest.raises(StoreError, match="foresight of another problem"):
+        Foresight.load(STORED / "grid.foresight", made["problem_of"]("ppo"))

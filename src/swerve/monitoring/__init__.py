@@ -1,1 +1,1 @@
-"""Package."""
+"""Watch while it happens: a monitor of one demonstration, and the foresight that it needs."""

@@ -1,6 +1,6 @@
-"""How belief moved while a demonstration went on: a monitor led along a finished one.
+"""Follow how belief moves along a finished demonstration, by a monitor that observes its states.
 
-    P_t(c) ~ prior(c) L_t(c),    t = 0, ..., L - 1, and once more when it has ended
+    P_t(c) ~ prior(c) L_t(c),    t = 0, ..., L - 1, and once more at the end
 
 Shapes: L states, H hypotheses.
 """
@@ -17,17 +17,17 @@ from swerve.monitoring.monitor import Monitor
 
 
 class Course(NamedTuple):
-    """What was believed after each state of a demonstration, and at its end.
+    """The belief after each state of a demonstration, and at its end.
 
     Attributes:
-      evidence: what it rests on.
+      evidence: that the monitor used.
       demonstration: that was followed.
-      times: [L + 1] time of each state [s], by the model's steps where none are known; the last is
-        that of the end.
+      times: [L + 1] time of each state [s], in steps of the model where the demonstration has no
+        times; the last is the time of the end.
       none: [L + 1] probability that there is no constraint.
-      hypotheses: [L + 1, H] probability of each.
+      hypotheses: [L + 1, H] probability of each hypothesis.
       log_likelihood: [L + 1, H] ratio against no constraint, nats; -inf where struck out.
-      entered: [L + 1, H] True from the state on that entered a hypothesis.
+      entered: [L + 1, H] True from the first state on that enters a hypothesis.
     """
 
     evidence: Evidence
@@ -39,23 +39,23 @@ class Course(NamedTuple):
     entered: np.ndarray
 
     def __repr__(self) -> str:
-        """Return what it is of, in one line."""
+        """Return the demonstration's name and its number of states, in one line."""
         return f"<Course of {self.demonstration.name}: {len(self.times) - 1} states>"
 
 
 def follow(monitor: Monitor, demonstration: Demonstration) -> Course:
-    """Lead a new monitor along a finished demonstration, state by state, and to its end.
+    """Let a new monitor observe a finished demonstration, state by state, to its end.
 
     Args:
-      monitor: that has seen nothing yet.
-      demonstration: of its task.
+      monitor: that has observed no state yet.
+      demonstration: of the monitor's task.
 
     Raises:
-      ValueError: if the monitor has seen states, or a state or a time cannot be taken in, see
-        `Monitor.observe`.
+      ValueError: if the monitor has observed states, or refuses a state or a time (see
+        `Monitor.observe`).
     """
     if not monitor.is_new:
-        raise ValueError("monitor: expected one that has seen no state yet: make another")
+        raise ValueError("monitor: expected one that has seen no state yet: make a new one")
     times = demonstration.times
     beliefs = [
         monitor.observe(state, None if times is None else float(times[k] - times[0]))

@@ -1,23 +1,21 @@
-"""Learning how likely each hypothesis is avoided from any state and time on.
+"""Learn how likely each hypothesis is avoided from any state and time on.
 
-The nominal policy goes on from states all over the state space, at all times; more of them near
-where nominal trajectories pass, and not quite there, which is where those go who avoid something.
-What the rest of each trajectory enters, from several of its states on, labels these states for
-all hypotheses at once, and a network is fitted by weighted logistic regression,
+States that the nominal policy goes on from are labelled with what the rest of the trajectory enters
+(see `sampling.continuations`). A network is fitted to the labels of all hypotheses at once by
+weighted logistic regression,
 
-    minimise  sum w [- y log P - (1 - y) log(1 - P)],    y = 1[the rest avoids c],
-    w = exp(l)    (see `continuation`; 1 where the policy is pi_0).
+    minimise  sum w [- y log P - (1 - y) log(1 - P)],    y = 1[the rest avoids c].
 
-At the starts of tasks it is told what the evidence knows.
+At the starts of tasks the network is fitted to the evidence too.
 
-Shapes: R rows, N trajectories at once, K tasks, G goals, H hypotheses, B = ceil(H / 8) bytes,
-T steps, n state dimensions, g goal dimensions.
+Shapes: R labelled states, K tasks, G goals, H hypotheses, F inputs, n state dimensions, g goal
+dimensions.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,60 +25,34 @@ from jaxtyping import Array
 
 from swerve.base.arguments import instance, whole_number
 from swerve.base.progress import Advance, progress_bar
+from swerve.base.solver_kinds import solver_names
 from swerve.evidence.evidence import Evidence
-from swerve.hypotheses.base import unpack
+from swerve.hypotheses.bits import select, unpack
 from swerve.monitoring.foresight import Ahead, Foresight, Inputs, hidden_sizes
-from swerve.problem.problem import Problem
+from swerve.problem.record import ProblemRecord
+from swerve.sampling.continuations import LabelledStates, labelled_states
 from swerve.simulation.continuation import continued
-from swerve.simulation.trajectory import Policy, enters
-from swerve.solvers.learn import Nominal, PolicyNominal
+from swerve.solvers.base import Nominal, PolicyNominal
 from swerve.solvers.trained.networks import DenseNetwork
 
-AT_ONCE = 256  # trajectories that go on from the same step
-NUM_SUFFIXES = 8  # states of each trajectory from which the rest is judged
-NEARBY = (0.005, 0.15)  # how far from nominal trajectories, in extents, the near starts lie
-SHARES = (0.5, 0.85)  # of the starts, cumulated: near nominal trajectories, anywhere; rest: tasks'
-LEAST_UPDATES, UPDATES_PER_GOAL = 10_000, 1_000
-BATCH = 1024
-BLOCK = 100  # updates between two reports
-LEARNING_RATE = 3e-3
-# Where a policy is coarse (11 nodes an axis) heavy trajectories drown the others: the network is
-# off by 0.024 to 0.031 on average with limits from 1 to 4, by 0.037, 0.052 and 0.060 with 5, 7 and
-# 40. Of the former a high one leaves less bias where a policy is poor: shares of 20,000 rollouts of
-# a soft value learned for 200,000 steps are off by 0.053 unweighted, 0.023 with 1, 0.011 with 3.
-MAX_LOG_WEIGHT = 3.0  # nats
-START_WEIGHT = 0.2  # of what the evidence knows of the starts, beside all that was sampled
-
-
-class Rows(NamedTuple):
-    """Labelled states.
-
-    Attributes:
-      state: [R, n].
-      step: [R].
-      goal: [R] number of the goal.
-      entered: [R, B] packed bits: what the rest enters.
-      weight: [R].
-    """
-
-    state: np.ndarray
-    step: np.ndarray
-    goal: np.ndarray
-    entered: np.ndarray
-    weight: np.ndarray
+LEAST_UPDATES, UPDATES_PER_GOAL = 10_000, 1_000  # of the network, unless a number is given
+BATCH = 1024  # labelled states of an update
+BLOCK = 100  # updates between two reports of progress
+LEARNING_RATE = 3e-3  # of the first update; it falls to 0 at the last
+START_WEIGHT = 0.2  # of the loss at the starts of tasks, relative to the loss of labelled states
 
 
 class Rollouts:
-    """What `Foresight` tells, rolled out on the spot: nothing is learned, each answer takes longer.
+    """Estimate by rollouts, state by state, what a `Foresight` has learned beforehand.
 
         P_0(avoid c from here on) ~ sum_k w_k 1[xi_k avoids c] / sum_k w_k
 
-    One more trajectory that avoids c is added, so that no answer is -inf. Where every one enters a
-    known constraint, as from inside it, all count alike.
+    Half a trajectory that avoids c and half a trajectory that enters c are added, so that no answer
+    is -inf. Where every trajectory enters a known constraint, as from inside it, all weigh alike.
 
     Args:
       nominal: of a solver with policies.
-      num_trajectories: for each answer.
+      num_trajectories: rolled out for each state.
       seed: of the trajectories.
 
     Raises:
@@ -94,7 +66,7 @@ class Rollouts:
         self.fingerprint = nominal.problem.record.fingerprint
 
     def towards(self, goal: np.ndarray) -> Ahead:
-        """Return what tells it for a goal [g]."""
+        """Return the estimate of log P_0(avoid c from here on) for a goal [g]."""
         problem, num = self._nominal.problem, self._num
         record, target = problem.record, jnp.asarray(goal, jnp.float32)
         (policy,) = self._nominal.policies(np.asarray(goal, float)[None])
@@ -131,67 +103,73 @@ def foresee(
 
     Args:
       nominal: of a solver with policies.
-      evidence: of the same problem; its goals are learned.
+      evidence: of the same problem; the foresight is learned for the goals of its tasks.
       num_trajectories: rolled out for each goal.
       num_updates: of the network; 1,000 for each goal and at least 10,000 if None.
       seed: of everything random.
       progress: whether to show a progress bar.
 
     Returns:
-      What `Monitor` needs, for the tasks of the evidence.
+      The foresight that a `Monitor` needs, for the tasks of the evidence.
 
     Raises:
       ValueError: if an argument is of the wrong kind or range, the nominal has no policies, the
         evidence is of another problem, or a hypothesis is about actions.
     """
-    instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
-    nominal = _with_policies(nominal)
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 1)
     if num_updates is not None:
         num_updates = whole_number(num_updates, "num_updates", 1)
     seed = whole_number(seed, "seed", 0)
+    nominal = _with_policies(nominal)
     record = nominal.problem.record
+    _check_evidence(evidence, record)
+    goals, goal_of = np.unique(evidence.tasks.goal, axis=0, return_inverse=True)
+    goal_of = goal_of.reshape(-1)
+    with progress_bar("looking ahead", 2.0 * len(goals), progress) as advance:
+        states = labelled_states(nominal, evidence, goals, goal_of, num_trajectories, seed, advance)
+    inputs = _inputs(record, goals)
+    num_updates = num_updates or max(LEAST_UPDATES, UPDATES_PER_GOAL * len(goals))
+    with progress_bar("learning", num_updates, progress) as advance:
+        fit = _Fit(inputs, states, goals, evidence, goal_of)
+        network = fit.run(num_updates, len(record.hypotheses), seed, advance)
+    weights, biases = (
+        tuple(np.asarray(x) for x in layers) for layers in (network.weights, network.biases)
+    )
+    return Foresight(record.fingerprint, evidence.digest, inputs, goals, weights, biases)
+
+
+def _check_evidence(evidence: Evidence, record: ProblemRecord) -> None:
+    """Raise ValueError where evidence is none, or of another problem than the nominal's."""
+    instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
     if record.fingerprint != evidence.problem.fingerprint:
         raise ValueError(
             f"the evidence is of another problem, {evidence.problem.summary}, than the nominal, "
             f"{record.summary}"
         )
-    goals, goal_of = np.unique(evidence.tasks.goal, axis=0, return_inverse=True)
-    goal_of = goal_of.reshape(-1)
-    with progress_bar("looking ahead", 2.0 * len(goals), progress) as advance:
-        rows = _rows(nominal, evidence, goals, goal_of, num_trajectories, seed, advance)
-    inputs = Inputs(
+
+
+def _inputs(record: ProblemRecord, goals: np.ndarray) -> Inputs:
+    """Return the network's inputs for goals [G, g], which they bring to about unit scale."""
+    return Inputs(
         record.space,
         record.goal_names == record.space.names,
         goals.mean(axis=0),
         np.maximum(goals.std(axis=0), 1e-3 + 1e-3 * np.abs(goals).max(axis=0)),
         record.num_steps,
     )
-    num_hypotheses = len(record.hypotheses)
-    num_updates = num_updates or max(LEAST_UPDATES, UPDATES_PER_GOAL * len(goals))
-    with progress_bar("learning", num_updates, progress) as advance:
-        fit = _Fit(inputs, rows, goals, evidence, goal_of)
-        network = fit.run(num_updates, num_hypotheses, seed, advance)
-    return Foresight(
-        record.fingerprint,
-        evidence.digest,
-        inputs,
-        goals,
-        tuple(np.asarray(weight) for weight in network.weights),
-        tuple(np.asarray(bias) for bias in network.biases),
-    )
 
 
 def _with_policies(nominal: Nominal) -> PolicyNominal:
-    """Return a nominal that trajectories can be drawn from.
+    """Return the nominal if its trajectories can be sampled.
 
     Raises:
-      ValueError: if it is none, or hypotheses are about actions, which a monitor does not see.
+      ValueError: if it has no policies, or hypotheses are about actions, which a monitor does not
+        see.
     """
     if not isinstance(nominal, PolicyNominal):
+        names = ", ".join(solver_names(lambda kind: not kind.is_exact))
         raise ValueError(
-            "nominal: expected one of a solver that is sampled (grid, soft-value, distilled, ppo), "
-            f"got {nominal!r}"
+            f"nominal: expected one of a solver that is sampled ({names}), got {nominal!r}"
         )
     if nominal.problem.hypotheses.about_actions:
         raise ValueError(
@@ -201,127 +179,38 @@ def _with_policies(nominal: Nominal) -> PolicyNominal:
     return nominal
 
 
-def _rows(
-    nominal: PolicyNominal,
-    evidence: Evidence,
-    goals: np.ndarray,
-    goal_of: np.ndarray,
-    num_trajectories: int,
-    seed: int,
-    advance: Advance,
-) -> Rows:
-    """Return labelled states of all goals."""
-    generator = np.random.default_rng(seed)
-    num_chunks = max(1, -(-num_trajectories // AT_ONCE))
-    parts = []
-    for goal, policy in enumerate(nominal.policies(goals, advance)):
-        tasks = np.flatnonzero(goal_of == goal)
-        kept = np.concatenate(list(evidence.samples.kept[tasks]))
-        # one in each part of the time, so that no time is left out
-        steps = (np.arange(num_chunks) + generator.random(num_chunks)) / num_chunks
-        steps = (steps * nominal.problem.mdp.num_steps).astype(int)
-        steps[0] = 0
-        for step in steps.tolist():
-            starts = _starts(nominal.problem, kept, evidence.tasks.start[tasks], step, generator)
-            key = jax.random.key(int(generator.integers(2**31)))
-            parts.append(_labelled(nominal.problem, policy, starts, step, goals, goal, key))
-        advance(1.0)
-    return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _starts(
-    problem: Problem,
-    kept: np.ndarray,
-    starts: np.ndarray,
-    step: int,
-    generator: np.random.Generator,
-) -> np.ndarray:
-    """Return states [N, n] from which to go on at a step.
-
-    Args:
-      problem: whose states they are.
-      kept: [M, T+1, n] nominal trajectories.
-      starts: [K, n] of tasks.
-      step: at which.
-      generator: what is random.
-    """
-    num_near, num_before_tasks = (int(share * AT_ONCE) for share in SHARES)
-    space, now = problem.mdp.space, kept[:, step]
-    near = now[generator.integers(len(now), size=AT_ONCE)]
-    scale = np.exp(generator.uniform(*np.log(NEARBY), size=(AT_ONCE, 1)))
-    states = near + scale * space.extent * generator.normal(size=near.shape)
-    keys = jax.random.split(jax.random.key(int(generator.integers(2**31))), AT_ONCE)
-    anywhere = np.asarray(jax.vmap(problem.mdp.sample_state)(keys))
-    states[num_near:num_before_tasks] = anywhere[num_near:num_before_tasks]
-    from_tasks = near if step else starts[generator.integers(len(starts), size=AT_ONCE)]
-    states[num_before_tasks:] = from_tasks[num_before_tasks:]
-    return states
-
-
-def _labelled(
-    problem: Problem,
-    policy: Policy,
-    starts: np.ndarray,
-    first: int,
-    goals: np.ndarray,
-    goal: int,
-    key: Array,
-) -> Rows:
-    """Go on from states [N, n] at a step; return several states of each trajectory, labelled."""
-    record, num_steps = problem.record, problem.mdp.num_steps
-    target = jnp.asarray(goals[goal], jnp.float32)
-    begin = jnp.asarray(starts.T, jnp.float32)
-    key_cuts, key = jax.random.split(key)
-    found = continued(problem, policy, begin, jnp.asarray(first), target, key)
-    states = np.moveaxis(np.asarray(found.states), -1, 0)
-    log_weight = np.asarray(found.log_weight)
-    shares = np.sort(np.asarray(jax.random.uniform(key_cuts, (NUM_SUFFIXES - 1,))))
-    cuts = np.unique([first, *(first + shares * (num_steps - first)).astype(int)])
-    allowed = np.isfinite(states).all(axis=(1, 2)) & ~_is_forbidden(problem, begin)
-    entered, rows = np.uint8(0), []
-    for cut, end in reversed(list(zip(cuts, [*cuts[1:], num_steps], strict=True))):
-        part = states[:, cut : end + 1]
-        entered = entered | record.hypotheses.violations(part, record.space, record.between_states)
-        weight = np.exp(np.minimum(log_weight[cut], MAX_LOG_WEIGHT))
-        weight = np.where(allowed & np.isfinite(weight), weight, 0.0).astype(np.float32)
-        num = len(states)
-        rows.append(Rows(states[:, cut], np.full(num, cut), np.full(num, goal), entered, weight))
-    return Rows(*(np.concatenate(column) for column in zip(*rows, strict=True)))
-
-
-def _is_forbidden(problem: Problem, states: Array) -> np.ndarray:
-    """Return which states [n, N] lie in a known constraint: a step that stays there enters it."""
-    stays = jax.vmap(lambda state: enters(problem.known, state, state, problem.mdp, False), -1)
-    return np.asarray(stays(states))
-
-
 class _Fit:
-    """Fitting the network to labelled states."""
+    """The network's fit to labelled states, and to the evidence at the starts of tasks."""
 
     def __init__(
-        self, inputs: Inputs, rows: Rows, goals: np.ndarray, evidence: Evidence, goal_of: np.ndarray
+        self,
+        inputs: Inputs,
+        states: LabelledStates,
+        goals: np.ndarray,
+        evidence: Evidence,
+        goal_of: np.ndarray,
     ) -> None:
-        self.inputs, self.num_rows = inputs, len(rows.step)
-        self.rows = jax.tree.map(jnp.asarray, rows)
+        self.inputs, self.num_states = inputs, len(states.step)
+        self.states = jax.tree.map(jnp.asarray, states)
         self.goals = jnp.asarray(goals, jnp.float32)
         starts = jnp.asarray(evidence.tasks.start, jnp.float32)
         steps = jnp.zeros(len(starts))
         self.at_starts = inputs(starts, steps, self.goals[goal_of])
         self.known = jnp.asarray(np.exp(evidence.log_ratio), jnp.float32)
-        weight, share = rows.weight[:, None], np.zeros(self.known.shape[1])
-        for first in range(0, self.num_rows, 1 << 14):
+        weight, share = states.weight[:, None], np.zeros(self.known.shape[1])
+        for first in range(0, self.num_states, 1 << 14):
             block = slice(first, first + (1 << 14))
-            share += (weight[block] * unpack(rows.entered[block], len(share))).sum(axis=0)
+            share += (weight[block] * unpack(states.entered[block], len(share))).sum(axis=0)
         self.entered = np.clip(share / weight.sum(), 1e-4, 1.0 - 1e-4)
 
     def run(
         self, num_updates: int, num_hypotheses: int, seed: int, advance: Advance
     ) -> DenseNetwork:
-        """Return the network after so many updates."""
+        """Return the network after a number of updates."""
         sizes = (self.at_starts.shape[1], *hidden_sizes(num_hypotheses), num_hypotheses)
         key_network, key = jax.random.split(jax.random.key(seed))
         network = DenseNetwork(sizes, 0.1, key=key_network)
-        # what holds whatever the state, which then need not be learned
+        # begin with each hypothesis' log-odds over all states: only differences are left to learn
         network.biases[-1] = jnp.asarray(np.log1p(-self.entered) - np.log(self.entered))
         schedule = optax.cosine_decay_schedule(LEARNING_RATE, num_updates)
         optimiser = optax.adam(schedule)
@@ -344,16 +233,15 @@ class _Fit:
         return network
 
     def loss(self, network: DenseNetwork, key: Array) -> Array:
-        """Return the mean cross-entropy of a minibatch drawn at random, and of the starts."""
-        chosen = jax.random.randint(key, (BATCH,), 0, self.num_rows)
-        rows = jax.tree.map(lambda column: column[chosen], self.rows)
-        x = self.inputs(rows.state, rows.step.astype(jnp.float32), self.goals[rows.goal])
+        """Return the mean cross-entropy of a random minibatch, and of the starts of tasks."""
+        chosen = jax.random.randint(key, (BATCH,), 0, self.num_states)
+        batch = jax.tree.map(lambda column: column[chosen], self.states)
+        x = self.inputs(batch.state, batch.step.astype(jnp.float32), self.goals[batch.goal])
         num_hypotheses = self.known.shape[1]
-        bit = jnp.arange(num_hypotheses)
-        entered = (rows.entered[:, bit >> 3] >> (bit & 7).astype(jnp.uint8)) & 1
+        entered = select(batch.entered, jnp.arange(num_hypotheses))
         loss = _cross_entropy(_outputs(network, x), 1.0 - entered.astype(jnp.float32))
-        total = jnp.maximum(rows.weight.sum(), 1e-6)
-        sampled = (rows.weight[:, None] * loss).sum() / total
+        total = jnp.maximum(batch.weight.sum(), 1e-6)
+        sampled = (batch.weight[:, None] * loss).sum() / total
         known = _cross_entropy(_outputs(network, self.at_starts), self.known).sum(axis=1).mean()
         return (sampled + START_WEIGHT * known) / num_hypotheses
 

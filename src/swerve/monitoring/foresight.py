@@ -1,15 +1,14 @@
-"""How likely each hypothesis is avoided from here on: a small network, evaluated in NumPy.
+"""Foresee how likely each hypothesis is avoided from here on, by a small network in NumPy.
 
     log P_0(avoid c after t | s_t = s, t, goal) = -log(1 + exp(-z_c(s, t, goal)))
 
-for all hypotheses c at once. What the network sees are sines of the state and its difference to
-the goal at several frequencies, both in units of the bounds, by how much the state would have to
-change for the rest of the time, and the time to go; its layers are
+for all hypotheses c at once. The inputs x of the network are sines of the state and of its
+difference to the goal at several frequencies, both in units of the bounds; the rates at which the
+state would have to change to reach the goal in time; and the time to go. The layers are
 
-    y = W_L tanh(... tanh(W_1 x + b_1) ...) + b_L,    z = y.
+    z = W_L tanh(... tanh(W_1 x + b_1) ...) + b_L.
 
-A state that lies in a hypothesis has entered it already: what is learned is of avoiding it after
-now, now included.
+The probability includes the present state: a state that lies in a hypothesis has entered it.
 
 Shapes: K tasks, H hypotheses, T steps, n state dimensions, g goal dimensions, F inputs, ... any
 batch dimensions.
@@ -19,28 +18,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from swerve.base import store
 from swerve.base.space import TWO_PI, StateSpace
-from swerve.problem.problem import Problem, ProblemRecord
+from swerve.problem.record import ProblemRecord
+
+if TYPE_CHECKING:
+    from swerve.problem.problem import Problem
 
 KIND = "swerve-foresight"
 VERSION = 2
-HARMONICS = 4  # of each state, at which the inputs wave
-SOON = 0.03  # of the horizon: time to go is told apart down to about this
-RUSH = (0.3, 2.0)  # extents a horizon: rates of change beside which others are slow or fast
-NUM_TIMES = 4  # inputs that tell the time alone
-SAME_GOAL = 1e-3  # of a goal's scale
-WIDTH = 128
-MANY = 1000  # hypotheses: with more of them the last layer is narrow, to be quick
-RANK = 32
+HARMONICS = 4  # frequencies of the sines of each state
+SOON = 0.03  # share of the horizon: the inputs tell times to go apart down to about this
+RUSH = (0.3, 2.0)  # extents per horizon: a slow and a fast rate of change, where tanh bends
+NUM_TIMES = 4  # inputs that depend on the time alone
+SAME_GOAL = 1e-3  # in units of a goal's scale: goals closer than this are the same
+WIDTH = 128  # units of each of the two hidden layers
+MANY = 1000  # hypotheses: with more, a layer of RANK units comes before the last, to be quick
+RANK = 32  # units of that layer
 
 
 class Ahead(Protocol):
-    """What tells how likely each hypothesis is avoided from a state and a step on."""
+    """A function that returns how likely each hypothesis is avoided from a state and a step on."""
 
     def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return log P_0(avoid c from here on) [H], nats, for a state [n] at a step."""
@@ -48,27 +50,27 @@ class Ahead(Protocol):
 
 
 class Foreseer(Protocol):
-    """What tells that for a goal: a `Foresight`, or `Rollouts` of the nominal distribution."""
+    """A source of `Ahead` for each goal: a `Foresight`, or `Rollouts` of the nominal policy."""
 
     @property
     def fingerprint(self) -> str:
-        """Of the problem that it is of."""
+        """Fingerprint of the problem that the foresight is for."""
         ...
 
     def towards(self, goal: np.ndarray) -> Ahead:
-        """Return what tells it for a goal [g]."""
+        """Return the `Ahead` for a goal [g]."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What the network sees: a function of state, time and goal that is plain data.
+    """The network's inputs: a function of state, time and goal that is plain data.
 
     Attributes:
       space: of the states.
-      goal_is_state: whether goals are states, so that there is a way to go.
-      goal_centre: [g] goals are taken relative to this,
-      goal_scale: [g] in these units.
+      goal_is_state: whether goals are states, so that the difference to the goal is an input too.
+      goal_centre: [g] is subtracted from goals.
+      goal_scale: [g] units of goals after that.
       num_steps: T.
     """
 
@@ -79,13 +81,14 @@ class Inputs:
     num_steps: int
 
     def waves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return (S, G, p): the inputs sin(S s + G goal + p).
+        """Return (S, G, p) of the inputs sin(S s + G goal + p).
 
-        For each state, its harmonics and, where goals are states, those of what is left to go;
-        cosines are sines a quarter turn on. The first n are the first harmonics of what is left.
+        The inputs are harmonics of each state and, where goals are states, of the difference to the
+        goal; cosines are sines a quarter turn on. The first n inputs are then the first harmonics
+        of the difference to the goal.
         """
         n, g = len(self.space.names), len(self.goal_centre)
-        # a straight state waves slowly enough to tell its two bounds apart
+        # half a wave over the extent of a straight state, so that its two bounds differ
         pace = np.where(self.space.is_angle, 1.0, 0.5 * TWO_PI / (2.0 * self.space.extent))
         rows = []
         if self.goal_is_state:
@@ -103,7 +106,7 @@ class Inputs:
         return np.array(of_state), np.array(of_goal).reshape(len(rows), g), np.array(phase)
 
     def times(self, step: Any) -> Any:
-        """Return what tells the time [..., NUM_TIMES] at steps [...], NumPy or JAX."""
+        """Return the inputs of the time [..., NUM_TIMES] at steps [...], NumPy or JAX."""
         xp = step.__array_namespace__()
         to_go = 1.0 - step / self.num_steps
         return xp.stack(
@@ -117,11 +120,11 @@ class Inputs:
         )
 
     def scaled_goal(self, goal: Any) -> Any:
-        """Return goals [..., g] about unit scale."""
+        """Return goals [..., g] relative to `goal_centre`, in units of `goal_scale`."""
         return (goal - self.goal_centre) / self.goal_scale
 
     def haste(self, step: Any) -> Any:
-        """Return what turns the way to go into rates of change [..., len(RUSH)]."""
+        """Return factors [..., len(RUSH)] that turn distances to the goal into rates of change."""
         xp = step.__array_namespace__()
         soon = 1.0 - step / self.num_steps + SOON
         return xp.stack([1.0 / (soon * rush) for rush in RUSH], axis=-1)
@@ -143,10 +146,10 @@ class Foresight:
     """The probability of avoiding each hypothesis from any state and time on; see `foresee`.
 
     Attributes:
-      fingerprint: of the problem that it was learned for.
-      learned_from: the digest of the evidence that it agrees with at starts.
-      inputs: what the network sees.
-      goals: [G, g] those that it was learned for.
+      fingerprint: of the problem that the network was learned for.
+      learned_from: digest of the evidence that the network was fitted to at the starts of tasks.
+      inputs: of the network.
+      goals: [G, g] goals that the network was learned for.
       weights: of each layer [out, in].
       biases: of each layer [out].
     """
@@ -159,12 +162,12 @@ class Foresight:
     biases: tuple[np.ndarray, ...]
 
     def __repr__(self) -> str:
-        """Return how large it is, in one line."""
+        """Return the number of goals and the sizes of the layers, in one line."""
         sizes = ", ".join(str(len(bias)) for bias in self.biases)
         return f"<Foresight of {len(self.goals)} goals, layers of {sizes}>"
 
     def knows(self, goal: np.ndarray) -> bool:
-        """Return whether it was learned for a goal [g]."""
+        """Return whether the network was learned for a goal [g]."""
         if not len(goal):
             return True
         away = np.abs(self.inputs.scaled_goal(self.goals) - self.inputs.scaled_goal(goal))
@@ -187,10 +190,10 @@ class Foresight:
         return np.minimum(output, 0.0) - np.log1p(np.exp(-np.abs(output)))
 
     def towards(self, goal: np.ndarray) -> Ahead:
-        """Return what tells it for one goal [g], state by state, in microseconds.
+        """Return the `Ahead` for one goal [g], which takes microseconds a state.
 
         Raises:
-          ValueError: if it was not learned for this goal.
+          ValueError: if the network was not learned for this goal.
         """
         goal = np.asarray(goal, float)
         if not self.knows(goal):
@@ -201,7 +204,7 @@ class Foresight:
         return _Towards(self, goal)
 
     def save(self, path: str | Path) -> None:
-        """Write it to one file, atomically."""
+        """Write the foresight to one file, atomically."""
         inputs = self.inputs
         header = {
             "problem": self.fingerprint,
@@ -222,7 +225,7 @@ class Foresight:
 
     @classmethod
     def load(cls, path: str | Path, problem: Problem | ProblemRecord) -> Foresight:
-        """Read what `save` wrote for this problem, or for that of an evidence.
+        """Read a foresight of this problem, or of an evidence's problem, that `save` wrote.
 
         Raises:
           store.StoreError: if the file is cut short, altered, or of another kind, version or
@@ -260,9 +263,9 @@ def hidden_sizes(num_hypotheses: int) -> tuple[int, ...]:
 
 
 class _Towards:
-    """The network for one goal and one state at a time, in buffers made once.
+    """The network for one goal and one state at a time, in buffers that are made once.
 
-    Whatever depends on time and goal alone is worked out for every step beforehand.
+    The inputs that depend on time and goal alone are computed for every step beforehand.
     """
 
     def __init__(self, foresight: Foresight, goal: np.ndarray) -> None:
@@ -290,7 +293,7 @@ class _Towards:
         self._layers = [np.empty(len(weight), np.float32) for weight in foresight.weights]
 
     def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
-        """Return log P_0(avoid c from here on) [H], nats; the next call overwrites it."""
+        """Return log P_0(avoid c from here on) [H], nats; the next call overwrites this array."""
         np.dot(self._of_state, state, out=self._angles)
         np.add(self._angles, self._phase, out=self._angles)
         np.sin(self._angles, out=self._waves, casting="same_kind")
@@ -308,7 +311,7 @@ class _Towards:
 
 
 def _log_sigmoid(value: np.ndarray) -> np.ndarray:
-    """Return -log(1 + exp(-z)) of values z, in its memory."""
+    """Return -log(1 + exp(-z)) of values z, written over the values."""
     smallest = np.abs(value)
     np.negative(smallest, out=smallest)
     np.exp(smallest, out=smallest)

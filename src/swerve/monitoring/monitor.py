@@ -1,18 +1,18 @@
-"""Inference while it happens: what a demonstration tells, state by state.
+"""Watch a demonstration; `Monitor._prefix_log_likelihood` is the likelihood of a prefix, L_t(c).
 
 A demonstration that has avoided c up to its state s_t has, against no constraint, the
 log-likelihood ratio
 
-    log L_t(c) = log P_0(avoid c after t | s_t, t, goal) - log P_0(avoid c | s_0, goal),
+    log L_t(c) = log P_0(avoid c after t | s_t, t, goal) - log P_0(avoid c | s_0, goal).
 
-whose second term is what the evidence knows (log Z_c / Z_0), and whose first is foreseen. One that
-has entered c is ruled out. At its end nothing is left to be avoided, the first term is 0, and the
-answer is that of `infer`. With a tolerance eps it is eps + (1 - eps) L_t(c), or eps once c is
-entered.
+The foresight gives the first term, the evidence the second (log Z_c / Z_0). A demonstration that
+has entered c rules c out. At the end of a demonstration nothing is left to be avoided: the first
+term is 0, and the answer is that of `infer`. With a tolerance eps the likelihood is
+eps + (1 - eps) L_t(c), or eps once c is entered.
 
 Foresight cannot tell probabilities as small as evidence can. Where the two differ widely at the
-start itself, the second term too is foreseen until the end, so that nothing is believed of somebody
-who has not moved.
+start itself, the foresight gives the second term too until the end: a demonstrator who has not
+moved then tells nothing.
 
 Shapes: H hypotheses, n state dimensions.
 """
@@ -26,38 +26,30 @@ from typing import NamedTuple
 import numpy as np
 
 from swerve.base.arguments import instance, number_or_nan
-from swerve.base.space import TWO_PI, Task
-from swerve.constraints.base import violates
-from swerve.demonstrations.checks import START_TOLERANCE
+from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.stepwise import stepwise
 from swerve.inference import likelihood
 from swerve.inference.posterior import Prior, checked_prior, posterior
+from swerve.monitoring.flags import LATE, REPEATED, StateChecks
 from swerve.monitoring.foresight import Foreseer
-from swerve.problem.problem import ProblemRecord
-from swerve.trust.doubts import COARSE, FAST, JITTER, TIME_SLACK
+from swerve.problem.record import ProblemRecord
 
-LATE = "late start"
-OUTSIDE = "outside the bounds"
-UNREACHABLE = "unreachable"
-REPEATED = "repeated"
-CONFLICTING = "another state at the same time"
-GAP = "gap"
-OVERTIME = "past the horizon"
-SHORT = "cut short"
-KNOWN = "in a known constraint"
-
-AGREEMENT = 1.0  # nats between evidence and foresight, at the start
+# nats between log P(avoid c) from the start by the evidence and by the foresight: a network or a
+# thousand rollouts cannot tell a probability such as exp(-20), so beyond 1 nat the foresight's own
+# value is subtracted
+AGREEMENT = 1.0
 
 
 class Belief(NamedTuple):
-    """What the states so far tell.
+    """What the states so far tell about the constraint.
 
     Attributes:
-      struck_out: [H] True where ruled out; with a tolerance entering rules nothing out.
+      struck_out: [H] True where a hypothesis is ruled out; with a tolerance, entering a hypothesis
+        does not rule it out.
       log_likelihood: [H] ratio against no constraint [nats]; -inf where struck out.
       none: probability that there is no constraint.
-      hypotheses: [H] probability of each.
+      hypotheses: [H] probability of each hypothesis.
       entered: the hypotheses that the newest state is the first to enter.
       flags: what is odd about the newest state; empty if nothing is.
     """
@@ -71,14 +63,14 @@ class Belief(NamedTuple):
 
 
 class Monitor:
-    """Infers which constraint one demonstrator obeys, while the demonstration lasts.
+    """Infer which constraint one demonstrator obeys, while the demonstration lasts.
 
-    Its memory does not grow. Several demonstrators take a monitor each; arrays that it returns are
-    not to be written to.
+    A monitor's memory does not grow with the number of states. Several demonstrators take a monitor
+    each. Do not write to the arrays that a monitor returns.
 
     Args:
-      evidence: what `infer` would rest on.
-      task: start and goal of the demonstration, one of those of the evidence.
+      evidence: the evidence that `infer` would use.
+      task: start and goal of the demonstration, one of the tasks of the evidence.
       foresight: from `swerve.foresee`, or `swerve.Rollouts` of the nominal distribution.
       prior: as for `infer`.
       tolerance: as for `infer`.
@@ -87,7 +79,7 @@ class Monitor:
 
     Raises:
       ValueError: if an argument is of the wrong kind or range, hypotheses are about actions, there
-        is no evidence for the task, or the foresight is of another problem or not for its goal.
+        is no evidence for the task, or the foresight is of another problem or not for the goal.
     """
 
     def __init__(
@@ -111,26 +103,20 @@ class Monitor:
         self._prior = checked_prior(prior, len(hypotheses))
         number = evidence.match(task)
         self._problem = problem
-        self._start = np.asarray(evidence.tasks.start[number], float)
+        start = np.asarray(evidence.tasks.start[number], float)
+        self._goal = np.asarray(evidence.tasks.goal[number], float)
         self._ahead = foresight.towards(evidence.tasks.goal[number])
         self._judged = hypotheses if margin is None else hypotheses.eroded(margin, space)
         self._steps = stepwise(hypotheses, self._judged, space, problem.between_states)
+        self._checks = StateChecks(evidence, number)
         self._clearance = clearance
         self._entered = np.zeros(len(hypotheses), bool)
         with np.errstate(divide="ignore"):
             log_prior = np.log(self._prior)
-        self._log_none, self._log_share = float(log_prior[0]), log_prior[1:].astype(np.float32)
-        self._goal = np.asarray(evidence.tasks.goal[number], float)
-        # the first call takes longest: not while they move
-        self._begin(self._start, evidence.log_ratio[number], self._ahead(self._start, 0))
-        limits = space.bounds + [-START_TOLERANCE, START_TOLERANCE] * space.extent[:, None]
-        limits[space.is_angle] = -np.inf, np.inf
-        self._bounds = limits.tolist()
-        self._is_angle = space.is_angle.tolist()
-        self._fastest = (FAST * evidence.summary.fastest[number]).tolist()
-        self._shortest = float(evidence.summary.shortest[number])
-        self._jitter = (JITTER * space.extent).tolist()
-        self._near = (START_TOLERANCE * space.unit).tolist()
+        self._log_prior_none = float(log_prior[0])
+        self._log_prior = log_prior[1:].astype(np.float32)
+        # call the foresight now: its first call takes longest, and the demonstrator does not wait
+        self._begin(start, evidence.log_ratio[number], self._ahead(start, 0))
         self._array = np.empty(len(space.names))
         self._state: list[float] = []
         self._time, self._is_timed = 0.0, False
@@ -141,49 +127,46 @@ class Monitor:
 
         Args:
           state: [n]; angles may be wrapped or not.
-          time: since the task's start [s]; None takes each state to be one step of the model after
-            the last, the first being at the start. Either all states have one or none.
+          time: since the task's start [s]. None puts the first state at the start and each further
+            state one step of the model after the last. Either all states have a time or none.
 
         Returns:
-          What is believed now, with flags that say what is odd about this state: a first one that
-          is not the task's start (what went before is then left open), one outside the bounds or in
-          a known constraint, one that cannot be reached from the last in that time, one that comes
-          again (which changes nothing) or contradicts the last, a gap of more than a step and a
-          half before it, or one later than the model's horizon.
+          The belief, with flags that say what is odd about this state. It is the first state but
+          not the task's start (what came before this state is then left open); it lies outside the
+          bounds or in a known constraint; it cannot be reached from the last state in the time
+          between them; it repeats the last state (which changes nothing) or contradicts it; more
+          than a step and a half lie between them; or it is later than the model's horizon.
 
         Raises:
-          ValueError: if the state is not n finite numbers, or time is not finite, negative, runs
-            backwards, or is there for some states only; then nothing has changed. If nothing that
-            the prior allows is left, or the foresight gives NaN; then the state has been taken in.
+          ValueError: if the state is not n finite numbers, or time is not finite, is negative, runs
+            backwards, or is given for some states only; then nothing has changed. Or if no answer
+            that the prior allows is left, or the foresight gives NaN; then the state has been taken
+            in.
         """
         values = self._checked(state)
         now, is_first = self._checked_time(time), not self._state
         if self._last is not None and now == self._time and values == self._state:
             return self._last._replace(entered=(), flags=(REPEATED,))
+        if is_first:
+            flags = self._checks.of_first(values, now)
+        else:
+            flags = self._checks.of_next(values, now, self._state, self._time)
         self._array[:] = values
-        flags = self._flags(values, now, is_first)
-        last, self._state, self._time, self._last = self._state, values, now, None
+        self._state, self._time, self._last = values, now, None
         self._is_timed = time is not None
         step = min(round(now / self._problem.dt), self._problem.num_steps)
-        is_over = step == self._problem.num_steps  # nothing is left to be avoided
         if is_first and LATE in flags:
-            foreseen = np.zeros(len(self._entered)) if is_over else self._ahead(self._array, step)
+            num = len(self._entered)
+            foreseen = np.zeros(num) if self._is_over(step) else self._ahead(self._array, step)
             self._begin(self._array, foreseen, foreseen)
         new = tuple(
             k for k in self._steps.enter(values) if self._is_counted[k] and not self._entered[k]
         )
         if new:
             self._entered[list(new)] = True
-        if self._problem.known and self._is_forbidden(last or values, values):
-            flags = (*flags, KNOWN)
-        if is_over:
-            log_likelihood = -self._log_ratio.astype(np.float32)
-        else:
-            ahead = self._ahead(self._array, step)
-            log_likelihood = np.subtract(ahead, self._base, dtype=np.float32)
-        if self._left_out is not None:
-            log_likelihood[self._left_out] = 0.0
-        self._last = self._belief(log_likelihood, new, flags)
+        struck_out = self._struck_out()
+        log_likelihood = self._prefix_log_likelihood(step, struck_out)
+        self._last = self._belief(log_likelihood, struck_out, new, flags)
         return self._last
 
     @property
@@ -192,12 +175,12 @@ class Monitor:
         return not self._state
 
     def finish(self) -> Belief:
-        """Return what the demonstration tells if it ends here: what `infer` tells of it.
+        """Return the belief if the demonstration ends here: the answer of `infer`.
 
-        It is flagged as cut short where nominal trajectories take longer.
+        The belief is flagged as cut short where nominal trajectories take longer.
 
         Raises:
-          ValueError: if no state has come yet, or nothing that the prior allows is left.
+          ValueError: if no state has come yet, or no answer that the prior allows is left.
         """
         if not self._state:
             raise ValueError("finish: no state of the demonstration has come yet")
@@ -206,50 +189,73 @@ class Monitor:
         value = np.where(self._entered, entering, value)
         value[self._impossible] = -np.inf
         probability = posterior(value, self._prior)
-        is_short = self._time < (1.0 - TIME_SLACK) * self._shortest
         return Belief(
             np.isneginf(value),
             value,
             float(probability[0]),
             probability[1:],
             entered=(),
-            flags=(SHORT,) if is_short else (),
+            flags=self._checks.of_end(self._time),
         )
 
     def _begin(self, state: np.ndarray, log_ratio: np.ndarray, foreseen: np.ndarray) -> None:
-        """Set what is held against prefixes that begin in a state [n], and what against the whole.
+        """Set log P_0(avoid c) of demonstrations that begin in a state [n].
 
         Args:
-          state: the first.
-          log_ratio: [H] log P(avoid c), nats; -inf where nobody can.
-          foreseen: [H] the same, as the foresight has it.
+          state: the first state.
+          log_ratio: [H] log P_0(avoid c) by the evidence, nats; -inf where nobody can avoid c.
+          foreseen: [H] log P_0(avoid c) by the foresight, nats.
         """
         task = Task(state[None], self._goal[None])
         counted = likelihood.is_counted(self._problem, task, self._clearance, self._judged)[0]
-        self._is_counted, self._left_out = counted, None if counted.all() else ~counted
+        self._is_counted, self._not_counted = counted, None if counted.all() else ~counted
         self._impossible = np.isneginf(log_ratio) & counted
         known = np.where(counted & ~self._impossible, log_ratio.astype(float), 0.0)
         is_far = counted & np.isfinite(foreseen) & (np.abs(foreseen - known) > AGREEMENT)
         self._log_ratio = known
-        self._base = np.where(is_far, foreseen, known).astype(np.float32)
+        self._at_start = np.where(is_far, foreseen, known).astype(np.float32)
 
-    def _belief(
-        self, value: np.ndarray, entered: tuple[int, ...], flags: tuple[str, ...]
-    ) -> Belief:
-        """Return the belief by log-likelihood ratios [H] of what was not entered, nats."""
-        struck_out = self._entered | self._impossible
+    def _is_over(self, step: int) -> bool:
+        """Return whether a step is the horizon, at which nothing is left to be avoided."""
+        return step == self._problem.num_steps
+
+    def _struck_out(self) -> np.ndarray:
+        """Return which hypotheses [H] are ruled out; with a tolerance, entered ones are not."""
+        return self._impossible.copy() if self._tolerance else self._entered | self._impossible
+
+    def _prefix_log_likelihood(self, step: int, struck_out: np.ndarray) -> np.ndarray:
+        """Return log L_t(c) [H], nats, of the states up to a step; -inf where struck out [H].
+
+        See the module's docstring for the formula, and `infer` for a finished demonstration.
+        """
+        if self._is_over(step):
+            value = -self._log_ratio.astype(np.float32)
+        else:
+            ahead = self._ahead(self._array, step)
+            value = np.subtract(ahead, self._at_start, dtype=np.float32)
+        if self._not_counted is not None:
+            value[self._not_counted] = 0.0
         if self._tolerance:
             value += math.log1p(-self._tolerance)
             value[self._entered] = -np.inf
             np.logaddexp(value, np.float32(math.log(self._tolerance)), out=value)
-            struck_out = self._impossible.copy()
         np.copyto(value, -np.inf, where=struck_out)
-        joint = value + self._log_share
-        largest = max(float(joint.max()), self._log_none)  # NaN if one is
+        return value
+
+    def _belief(
+        self,
+        log_likelihood: np.ndarray,
+        struck_out: np.ndarray,
+        entered: tuple[int, ...],
+        flags: tuple[str, ...],
+    ) -> Belief:
+        """Return the belief by Bayes' rule: prior times L_t, divided by their sum."""
+        joint = log_likelihood + self._log_prior
+        largest = max(float(joint.max()), self._log_prior_none)  # NaN if a value is NaN
         if math.isnan(largest):
             raise ValueError(
-                f"foresight: gave NaN for {self._state} at {self._time:g} s: learn it again, or "
-                "mend it"
+                f"foresight: gave NaN for {self._state} at {self._time:g} s: learn the foresight "
+                "again, or correct it"
             )
         if largest == -math.inf:
             raise ValueError(
@@ -258,12 +264,12 @@ class Monitor:
             )
         joint -= np.float32(largest)
         np.exp(joint, out=joint)
-        none = math.exp(self._log_none - largest)
+        none = math.exp(self._log_prior_none - largest)
         total = none + float(joint.sum())
         joint /= np.float32(total)
-        for array in (struck_out, value, joint):
+        for array in (struck_out, log_likelihood, joint):
             array.setflags(write=False)
-        return Belief(struck_out, value, none / total, joint, entered, flags)
+        return Belief(struck_out, log_likelihood, none / total, joint, entered, flags)
 
     def _checked(self, state: Sequence[float] | np.ndarray) -> list[float]:
         """Return a state as n floats."""
@@ -295,57 +301,9 @@ class Monitor:
             raise ValueError(f"time: expected seconds since the start of the task, got {time!r}")
         if self._state and now < self._time:
             raise ValueError(
-                f"time: runs backwards, from {self._time:g} s to {now:g} s; the state is left out"
+                f"time: runs backwards, from {self._time:g} s to {now:g} s; this state is ignored"
             )
         return now
-
-    def _flags(self, values: list[float], now: float, is_first: bool) -> tuple[str, ...]:
-        """Return what is odd about a state, the newest one."""
-        flags = []
-        dt = self._problem.dt
-        if is_first:
-            if now > 0.5 * dt or self._differs(values, self._start.tolist(), self._near):
-                flags.append(LATE)
-        elif now == self._time:
-            flags.append(CONFLICTING)
-        else:
-            elapsed = now - self._time
-            if elapsed > COARSE * dt:
-                flags.append(GAP)
-            reach = [
-                speed * elapsed + slack
-                for speed, slack in zip(self._fastest, self._jitter, strict=True)
-            ]
-            if self._differs(values, self._state, reach):
-                flags.append(UNREACHABLE)
-        for value, (low, high) in zip(values, self._bounds, strict=True):
-            if not low <= value <= high:
-                flags.append(OUTSIDE)
-                break
-        if now > (self._problem.num_steps + 0.5) * dt:
-            flags.append(OVERTIME)
-        return tuple(flags)
-
-    def _differs(self, values: list[float], others: list[float], limits: list[float]) -> bool:
-        """Return whether two states differ by more than limits, angles along the shorter arc."""
-        for value, other, limit, is_angle in zip(
-            values, others, limits, self._is_angle, strict=True
-        ):
-            moved = value - other
-            if is_angle:
-                moved -= TWO_PI * round(moved / TWO_PI)
-            if abs(moved) > limit:
-                return True
-        return False
-
-    def _is_forbidden(self, last: list[float], values: list[float]) -> bool:
-        """Return whether the way from the last state to this one enters a known constraint."""
-        problem, path = self._problem, np.array([last, values])
-        return any(
-            bool(violates(constraint, path, problem.space, problem.between_states))
-            for constraint in problem.known
-            if not constraint.about_actions
-        )
 
 
 def check_hypotheses(problem: ProblemRecord) -> None:
@@ -357,7 +315,7 @@ def check_hypotheses(problem: ProblemRecord) -> None:
 
 
 def _check_foresight(problem: ProblemRecord, foresight: Foreseer) -> None:
-    """Raise ValueError where a foresight is none, or of another problem than the evidence."""
+    """Raise ValueError where a foresight is of the wrong kind, or not of the evidence's problem."""
     if not (hasattr(foresight, "towards") and hasattr(foresight, "fingerprint")):
         raise ValueError(
             "foresight: expected what swerve.foresee returns, or swerve.Rollouts(nominal), got "

@@ -1,0 +1,117 @@
+"""Flag what is odd about a state that a monitor observes: its time, its place and its distance.
+
+Within dt seconds a component of the state may change by at most
+
+    FAST v dt + JITTER extent,
+
+where v is its fastest change in nominal trajectories of the task.
+
+Shapes: n state dimensions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swerve.base.space import TWO_PI
+from swerve.constraints.base import violates
+from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
+from swerve.evidence.evidence import Evidence
+
+LATE = "late start"
+OUTSIDE = "outside the bounds"
+UNREACHABLE = "unreachable"
+REPEATED = "repeated"
+CONFLICTING = "another state at the same time"
+GAP = "gap"
+OVERTIME = "past the horizon"
+SHORT = "cut short"
+KNOWN = "in a known constraint"
+
+
+class StateChecks:
+    """Checks of the states of one demonstration against the nominal trajectories of its task.
+
+    The checks use plain floats: for a handful of numbers NumPy takes longer.
+
+    Args:
+      evidence: of the task.
+      number: of the task in the evidence.
+    """
+
+    def __init__(self, evidence: Evidence, number: int) -> None:
+        self._problem = evidence.problem
+        space = evidence.problem.space
+        limits = space.bounds + [-START_TOLERANCE, START_TOLERANCE] * space.extent[:, None]
+        limits[space.is_angle] = -np.inf, np.inf
+        self._bounds = limits.tolist()
+        self._is_angle = space.is_angle.tolist()
+        self._start = np.asarray(evidence.tasks.start[number], float).tolist()
+        self._fastest = (FAST * evidence.summary.fastest[number]).tolist()
+        self._shortest = float(evidence.summary.shortest[number])
+        self._jitter = (JITTER * space.extent).tolist()
+        self._near_start = (START_TOLERANCE * space.unit).tolist()
+
+    def of_first(self, values: list[float], now: float) -> tuple[str, ...]:
+        """Return the flags of the first state, n values at a time [s]."""
+        is_late = now > 0.5 * self._problem.dt
+        is_late = is_late or self._differs(values, self._start, self._near_start)
+        return (*([LATE] if is_late else []), *self._of_place(values, values, now))
+
+    def of_next(
+        self, values: list[float], now: float, last: list[float], last_time: float
+    ) -> tuple[str, ...]:
+        """Return the flags of a state, n values at a time [s], that follows another state."""
+        return (
+            *self._of_step(values, now - last_time, last),
+            *self._of_place(values, last, now),
+        )
+
+    def of_end(self, now: float) -> tuple[str, ...]:
+        """Return the flags of a demonstration that ends at a time [s]."""
+        return (SHORT,) if now < (1.0 - TIME_SLACK) * self._shortest else ()
+
+    def _of_step(self, values: list[float], elapsed: float, last: list[float]) -> list[str]:
+        """Return the flags of the step from the last state to this one, in `elapsed` seconds."""
+        if elapsed == 0.0:
+            return [CONFLICTING]
+        flags = [GAP] if elapsed > COARSE * self._problem.dt else []
+        pairs = zip(self._fastest, self._jitter, strict=True)
+        reach = [speed * elapsed + slack for speed, slack in pairs]
+        if self._differs(values, last, reach):
+            flags.append(UNREACHABLE)
+        return flags
+
+    def _of_place(self, values: list[float], last: list[float], now: float) -> list[str]:
+        """Return the flags of where and when a state is."""
+        problem, flags = self._problem, []
+        for value, (low, high) in zip(values, self._bounds, strict=True):
+            if not low <= value <= high:
+                flags.append(OUTSIDE)
+                break
+        if now > (problem.num_steps + 0.5) * problem.dt:
+            flags.append(OVERTIME)
+        if problem.known and self._enters_known(last, values):
+            flags.append(KNOWN)
+        return flags
+
+    def _differs(self, values: list[float], others: list[float], limits: list[float]) -> bool:
+        """Return whether two states differ by more than limits, angles along the shorter arc."""
+        for value, other, limit, is_angle in zip(
+            values, others, limits, self._is_angle, strict=True
+        ):
+            moved = value - other
+            if is_angle:
+                moved -= TWO_PI * round(moved / TWO_PI)
+            if abs(moved) > limit:
+                return True
+        return False
+
+    def _enters_known(self, last: list[float], values: list[float]) -> bool:
+        """Return whether the step from the last state to this one enters a known constraint."""
+        problem, path = self._problem, np.array([last, values])
+        return any(
+            bool(violates(constraint, path, problem.space, problem.between_states))
+            for constraint in problem.known
+            if not constraint.about_actions
+        )
