@@ -33,8 +33,7 @@ from swerve import (
 )
 from swerve.constraints.base import violates
 from swerve.sampling.resolve import _is_likely
-from swerve.solvers.trained.soft_value import least_value
-from swerve.solvers.trained.soft_value_training import SoftValuePolicy
+from swerve.solvers.trained.soft_value import SoftValuePolicy, least_value
 from swerve.solvers.trained.training import TrainedNominal
 from swerve.work.settings import Settings
 from swerve.work.work import Work

@@ -32,7 +32,7 @@ from swerve import (
     sample,
 )
 from swerve.hypotheses.bits import unpack
-from swerve.solvers.learn import Nominal
+from swerve.solvers.base import Nominal
 
 COARSE = Grid(num_points=(40, 61))
 OTHER = Task(np.array([1.0, 0.0]), np.array([2.0, 0.5]))
@@ -61,7 +61,7 @@ def test_the_seed_decides(nominal: Nominal) -> None:
 def test_chunks_do_not_repeat_one_another(
     nominal: Nominal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("swerve.sampling.one_task.CHUNK", 100)
+    monkeypatch.setattr("swerve.sampling.one_task.MAX_CHUNK", 100)
     evidence = sample(nominal, PENDULUM_TASK, 250, method="importance")
     reward = evidence.samples.total_reward[0]
     assert reward.shape == (250,)

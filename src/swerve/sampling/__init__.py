@@ -1,1 +1,1 @@
-"""Package."""
+"""Sample trajectories of the nominal distribution, and reduce them to evidence."""

@@ -1,4 +1,4 @@
-"""Drawing the trajectories of one task: in chunks, judged and reduced as they come.
+"""Sample the trajectories of one task in chunks; judge and reduce each chunk at once.
 
 Shapes: N trajectories, T steps, H hypotheses, B = ceil(H / 8) bytes, M kept trajectories, n states.
 """
@@ -17,20 +17,21 @@ import numpy as np
 from swerve.base.space import Actions, Task
 from swerve.evidence import estimators
 from swerve.evidence.samples import NUM_ISLANDS, NUM_KEPT, RESAMPLED, TEMPERED, Samples, log_weights
-from swerve.problem.problem import Problem, ProblemRecord
+from swerve.problem.problem import Problem
+from swerve.problem.record import ProblemRecord
 from swerve.sampling.smc import Particles, smc_rollout
 from swerve.sampling.tempering import temper
 from swerve.simulation.policies import ValuedPolicy
 from swerve.simulation.trajectory import Policy, Trajectory, rollout
 
-CHUNK = 1024  # trajectories rolled out at once: their activations stay in cache
+MAX_CHUNK = 1024  # trajectories rolled out at once: with more, activations do not fit the cache
 
 
-class Job(NamedTuple):
-    """One task to be sampled.
+class SamplingJob(NamedTuple):
+    """One task to be sampled, and how.
 
     Attributes:
-      record: of the problem whose pi_0 is wanted; its beta may be another one than `problem` has.
+      record: of the problem whose pi_0 is wanted; its beta may differ from that of `problem`.
     """
 
     problem: Problem
@@ -43,12 +44,12 @@ class Job(NamedTuple):
 
     @property
     def island(self) -> int:
-        """Trajectories of an island, where they are resampled."""
+        """Number of trajectories in an island, where trajectories are resampled."""
         return whole_islands(self.num_trajectories)[1]
 
 
 class _Numbers(NamedTuple):
-    """What trajectories are weighed by, each [N]; see `Samples`."""
+    """Numbers that determine the weights of trajectories, each [N]; see `Samples`."""
 
     total_reward: np.ndarray
     log_probability: np.ndarray
@@ -61,10 +62,10 @@ class _Chunk(NamedTuple):
     """Some of the trajectories of a task.
 
     Attributes:
-      numbers: what they are weighed by.
+      numbers: that determine the weights of the trajectories.
       violations: [N, B] packed bits.
-      kept: [M, T+1, n] a few whole ones, drawn by weight.
-      log_total: log of the sum of their weights, nats.
+      kept: [M, T+1, n] a few whole trajectories, chosen by weight.
+      log_total: log of the sum of the weights of all N trajectories, nats.
     """
 
     numbers: _Numbers
@@ -74,16 +75,16 @@ class _Chunk(NamedTuple):
 
 
 def whole_islands(num_trajectories: int) -> tuple[int, int]:
-    """Return how many islands hold at least so many trajectories, and how many are in each.
+    """Return the number of islands for at least `num_trajectories`, and the size of each island.
 
-    None is larger than a chunk, and their number is a multiple of NUM_ISLANDS.
+    No island is larger than a chunk, and the number of islands is a multiple of NUM_ISLANDS.
     """
     part = -(-num_trajectories // NUM_ISLANDS)
-    split = -(-part // CHUNK)
+    split = -(-part // MAX_CHUNK)
     return NUM_ISLANDS * split, -(-part // split)
 
 
-def draw_task(job: Job, run_all: Callable, advance: Callable[..., None]) -> Samples:
+def sample_task(job: SamplingJob, run_all: Callable, advance: Callable[..., None]) -> Samples:
     """Sample the trajectories of one task, chunk by chunk; every array has a leading axis of 1."""
     sizes = _chunk_sizes(job)
     numbers = np.concatenate([job.task.start, job.task.goal])
@@ -99,31 +100,32 @@ def draw_task(job: Job, run_all: Callable, advance: Callable[..., None]) -> Samp
         chunk.numbers.ancestor[:] += first
     rows = [(*chunk.numbers, chunk.violations) for chunk in chunks]
     columns = [np.concatenate(part)[None] for part in zip(*rows, strict=True)]
-    # a point in the cumulative weight of all chunks names a chunk and a point in that chunk's
+    # a point in the cumulative weight of all chunks falls on a chunk, and on a point in the
+    # cumulative weight of that chunk
     chunk, within = _at(_points(), np.array([chunk.log_total for chunk in chunks]))
     place = np.minimum((within * NUM_KEPT).astype(int), NUM_KEPT - 1)
     kept = np.stack([chunks[c].kept[k] for c, k in zip(chunk, place, strict=True)])
     return Samples(*columns, kept=kept[None], soft_value=_soft_value(job)[None])
 
 
-def _chunk_sizes(job: Job) -> list[int]:
-    """Return how many trajectories to draw in each chunk; all but the last the same number.
+def _chunk_sizes(job: SamplingJob) -> list[int]:
+    """Return how many trajectories to sample in each chunk; the last chunk may be smaller.
 
-    A chunk of trajectories that are resampled is made of whole islands.
+    Where trajectories are resampled, a chunk consists of whole islands.
     """
     if job.method in RESAMPLED:
         num_islands, island = whole_islands(job.num_trajectories)
-        at_once = CHUNK // island
+        at_once = MAX_CHUNK // island
         while num_islands % at_once:
             at_once -= 1
         return [at_once * island] * (num_islands // at_once)
-    num_chunks = -(-job.num_trajectories // CHUNK)
+    num_chunks = -(-job.num_trajectories // MAX_CHUNK)
     size = -(-job.num_trajectories // num_chunks)
     return [min(size, job.num_trajectories - k * size) for k in range(num_chunks)]
 
 
-def _soft_value(job: Job) -> np.ndarray:
-    """Return log Z_0 of the task by the solver's own soft value, NaN where it has none."""
+def _soft_value(job: SamplingJob) -> np.ndarray:
+    """Return log Z_0 of the task by the solver's own soft value, NaN where the solver has none."""
     if not isinstance(job.policy, ValuedPolicy) or job.method == TEMPERED:
         return np.array(np.nan)
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
@@ -135,26 +137,13 @@ def _value_at_start(policy: ValuedPolicy, start: jax.Array, goal: jax.Array) -> 
     return policy.soft_value(start, jnp.zeros((), jnp.int32), goal)
 
 
-def _sample_chunk(job: Job, key: jax.Array, size: int, used: int) -> _Chunk:
-    """Roll out one chunk of trajectories, and judge those that are used."""
+def _sample_chunk(job: SamplingJob, key: jax.Array, size: int, used: int) -> _Chunk:
+    """Roll out one chunk of `size` trajectories, and judge the first `used` of them."""
     problem = job.problem
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
     particles = None
     if job.method in RESAMPLED:
-        island = job.island
-        if job.method == TEMPERED:
-            particles = temper(
-                problem,
-                job.policy,
-                job.task,
-                job.record.beta,
-                num_islands=size // island,
-                num_particles=island,
-                seed=int(jax.random.bits(key)),
-            )
-        else:
-            assert isinstance(job.policy, ValuedPolicy)
-            particles = smc_rollout(job.policy, start, goal, key, size // island, island)
+        particles = _sample_particles(job, key, size)
         trajectory = particles.trajectory
     else:
         trajectory = rollout(problem, job.policy, start, goal, key, size)
@@ -177,8 +166,28 @@ def _sample_chunk(job: Job, key: jax.Array, size: int, used: int) -> _Chunk:
     )
 
 
-def _numbers(job: Job, trajectory: Trajectory, particles: Particles | None, used: int) -> _Numbers:
-    """Return what the trajectories of a chunk are weighed by, those that are used."""
+def _sample_particles(job: SamplingJob, key: jax.Array, size: int) -> Particles:
+    """Sample a chunk of whole islands, `size` particles in all."""
+    num_islands = size // job.island
+    if job.method == TEMPERED:
+        return temper(
+            job.problem,
+            job.policy,
+            job.task,
+            job.record.beta,
+            num_islands=num_islands,
+            num_particles=job.island,
+            seed=int(jax.random.bits(key)),
+        )
+    assert isinstance(job.policy, ValuedPolicy)
+    start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
+    return smc_rollout(job.policy, start, goal, key, num_islands, job.island)
+
+
+def _numbers(
+    job: SamplingJob, trajectory: Trajectory, particles: Particles | None, used: int
+) -> _Numbers:
+    """Return the numbers that determine the weights of the first `used` trajectories of a chunk."""
     numbers = _Numbers(
         np.asarray(trajectory.total_reward)[:used],
         np.asarray(trajectory.log_probability)[:used],
@@ -189,16 +198,16 @@ def _numbers(job: Job, trajectory: Trajectory, particles: Particles | None, used
     if particles is None:
         return numbers
     log_weight = np.asarray(particles.log_weight, np.float64)
-    drawn_by = log_weights(job.record, numbers)
-    allowed = np.isfinite(drawn_by)
+    uncorrected = log_weights(job.record, numbers)
+    allowed = np.isfinite(uncorrected)
     return numbers._replace(
-        log_correction=np.where(allowed, log_weight - np.where(allowed, drawn_by, 0.0), 0.0),
+        log_correction=np.where(allowed, log_weight - np.where(allowed, uncorrected, 0.0), 0.0),
         ancestor=np.asarray(particles.root, int) + job.island * (np.arange(used) // job.island),
     )
 
 
-def _actions_taken(job: Job, trajectory: Trajectory, used: int) -> Actions | None:
-    """Return the actions of trajectories where hypotheses are about them, NaN after their end."""
+def _actions_taken(job: SamplingJob, trajectory: Trajectory, used: int) -> Actions | None:
+    """Return the actions of trajectories, NaN after the end; None if no hypothesis needs them."""
     if not job.record.hypotheses.about_actions:
         return None
     values = np.asarray(job.problem.mdp.actions, np.float64)[
@@ -214,8 +223,17 @@ def _points() -> np.ndarray:
 
 
 def _at(points: np.ndarray, log_weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which item each share of the cumulative weight falls on, and how far into it."""
-    if np.isneginf(log_weight).all():  # nothing is allowed; whoever weighs them will say so
+    """Return the item that each point of the cumulative weight falls on, and how far into it.
+
+    Args:
+      points: [P] from 0 to 1.
+      log_weight: [N] of the items, nats.
+
+    Returns:
+      item: [P] from 0 to N - 1; all 0 where every weight is 0.
+      within: [P] from 0 to 1, the share of the item's own weight that lies before the point.
+    """
+    if np.isneginf(log_weight).all():  # `summarise` raises NothingLeftError for the whole task
         return np.zeros(len(points), int), np.zeros(len(points))
     cumulative = np.concatenate([[0.0], np.cumsum(estimators.normalise(log_weight))])
     cumulative /= cumulative[-1]

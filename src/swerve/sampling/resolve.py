@@ -1,14 +1,14 @@
-"""Near-certain violations: hypotheses that hardly any nominal trajectory avoids.
+"""Resolve near-certain violations: hypotheses that hardly any nominal trajectory avoids.
 
-Where all samples enter c they only say that Z_c / Z_0 is small; where two or three do not, chance
-says how small. What driving round c would cost is then told with c in force: the solver adapts what
-it learned to pi_c, the MDP with c among the known constraints, and sequential Monte Carlo with the
-adapted soft value gives Z_c,
+Where all samples enter c, they tell only that Z_c / Z_0 is small. Where two or three samples avoid
+c, the ratio is left to chance. Then Z_c is estimated with c in force: the solver adapts its soft
+value to pi_c, the policy of the MDP with c among the known constraints, and sequential Monte Carlo
+with the adapted soft value gives Z_c,
 
     log(Z_c / Z_0) = log Z_c - log Z_0,
 
-however small. It is worked out for what matters: hypotheses that no demonstration enters and that
-the samples leave open, in the tasks of the demonstrations.
+however small. Only the hypotheses that matter are resolved: those that no demonstration enters and
+that the samples leave open, in the tasks of the demonstrations.
 
 Shapes: K tasks, H hypotheses, I islands.
 """
@@ -17,64 +17,58 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable
 
 import numpy as np
 
 from swerve.base.progress import progress_bar
+from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
 from swerve.evidence.estimators import NothingLeftError
 from swerve.evidence.evidence import Evidence
-from swerve.inference.ranking import SETTLED, Inference
-from swerve.problem.problem import Problem
+from swerve.inference.ranking import Ranking
+from swerve.inference.scores import SETTLED
 from swerve.sampling.sample import sample
-from swerve.solvers.learn import Nominal, Solver
+from swerve.solvers.base import AdaptingSolver, Nominal
 
-NUM_TRAJECTORIES = 2_000, 10_000  # a task and hypothesis; the second where the first do not settle
-LEAST_SHARE = 0.05  # of them that must be effective: what next to nothing is left of comes out low
-UNLIKELY = 1e-3  # probability of as few or as many samples that avoid a hypothesis as there are
-
-
-@runtime_checkable
-class AdaptingSolver(Solver, Protocol):
-    """A solver whose soft value can be adapted to more known constraints."""
-
-    def adapted(self, nominal: Any, problem: Problem, seed: int) -> Iterator[Nominal]:
-        """Yield the nominal distribution of a problem with more known constraints, ever better."""
-        ...
+# sampled for a task and a hypothesis: the second number where the first leaves too large an error
+NUM_TRAJECTORIES = 2_000, 10_000
+LEAST_SHARE = 0.05  # of these that must be effective: with fewer, Z_c is estimated too low
+UNLIKELY = 1e-3  # probability of as few or as many samples that avoid c: less refutes a ratio
 
 
 def resolve(
     nominal: Nominal,
-    inference: Inference,
+    inference: Ranking,
     *,
     seed: int = 0,
     progress: bool = False,
     keep: Callable[[Evidence], None] = lambda evidence: None,
 ) -> Evidence:
-    """Work out the ratios that evidence leaves open, for hypotheses that matter to a ranking.
+    """Estimate the ratios that evidence leaves open, for hypotheses that matter to a ranking.
 
     Args:
-      nominal: what the evidence was sampled from.
-      inference: from evidence in which next to no trajectory avoids some hypotheses; those that it
-        strikes out are left out.
+      nominal: the nominal distribution that the evidence was sampled from.
+      inference: from evidence in which almost no trajectory avoids some hypotheses; hypotheses that
+        it strikes out are left out.
       seed: of everything random.
       progress: whether to show a progress bar.
-      keep: called with what there is after each hypothesis, since all of them may take long.
+      keep: called with the evidence so far after each hypothesis: all of them may take long.
 
     Returns:
-      Its evidence with numbers worked out in place of bounds, and of what two or three trajectories
-      say. These remain where even with c in force no trajectory avoids it, or it is not well enough
-      known how many do: `log_ratio_error` of the summary is then infinite.
+      The evidence of the inference, with estimates in place of bounds and of ratios that two or
+      three trajectories tell. A bound or such a ratio remains where even with c in force no
+      trajectory avoids c, or the error of Z_c stays too large: `log_ratio_error` of the summary is
+      then infinite.
 
     Raises:
       ValueError: if the nominal has no soft value, or is of another problem.
     """
     if not isinstance(nominal.solver, AdaptingSolver):
+        adapting = ", ".join(solver_names(lambda kind: kind.adapts))
         raise ValueError(
-            "nominal: expected one of a solver with a soft value that adapts (grid, soft-value), "
-            f"got {nominal.solver.name!r}"
+            f"nominal: expected one of a solver with a soft value that adapts ({adapting}), got "
+            f"{nominal.solver.name!r}"
         )
     evidence = inference.evidence
     if nominal.problem.record.fingerprint != evidence.problem.fingerprint:
@@ -96,7 +90,7 @@ def resolve(
 def _resolved(
     nominal: Nominal, evidence: Evidence, index: int, tasks: list[int], seed: int
 ) -> Evidence:
-    """Return evidence with the ratio of one hypothesis in some tasks, as far as it settles."""
+    """Return evidence with the ratio of one hypothesis, in those of the tasks where it settles."""
     chosen = evidence.select(tasks)
     log_ratio, error = _ratio(nominal, chosen, index, seed)
     settled = np.isfinite(error)
@@ -118,8 +112,8 @@ def _ratio(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return log Z_c / Z_0 and its standard error [K] for all tasks of evidence, nats.
 
-    The error is infinite where that did not settle it, or contradicts the samples without c, which
-    know next to nothing of who avoids it, but not nothing.
+    The error is infinite where the error of Z_c stays too large, or the ratio contradicts how many
+    samples avoid c without c in force.
     """
     problem, solver = nominal.problem, nominal.solver
     assert isinstance(solver, AdaptingSolver)
@@ -141,7 +135,7 @@ def _ratio(
 
 
 def _settled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
-    """Return evidence of one task whose log Z is well known, None where its samples do not tell."""
+    """Return evidence of one task whose log Z has a small error, None if no sampling gives one."""
     for num in NUM_TRAJECTORIES:
         try:
             evidence = sample(nominal, task, num, method="smc", seed=seed)
@@ -155,7 +149,7 @@ def _settled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
 
 
 def _is_likely(evidence: Evidence, task: int, index: int, log_ratio: float) -> bool:
-    """Return whether a ratio agrees with how few trajectories avoid the hypothesis, by Poisson."""
+    """Return whether a ratio agrees with the number of samples that avoid c, a Poisson variable."""
     seen = 0
     if not evidence.is_floored[task, index]:
         seen = round(evidence.standard_error[task, index] ** -2)

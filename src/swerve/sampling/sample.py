@@ -1,8 +1,8 @@
-"""Sampling the nominal distribution, reduced to evidence as it goes.
+"""Sample the nominal distribution, and reduce the trajectories to evidence on the way.
 
 Trajectories of each task are rolled out in chunks on as many threads as there are cores, judged
-against all hypotheses at once and dropped; what is kept is their reward, log-probability, length
-and one bit a hypothesis, and a few whole ones for pictures.
+against all hypotheses at once and dropped. Evidence keeps their reward, log-probability, length and
+one bit per hypothesis, and a few whole trajectories for pictures.
 
 Shapes: K tasks, N trajectories, T steps, H hypotheses, M kept trajectories, n states, g goal
 dimensions.
@@ -22,17 +22,18 @@ import numpy as np
 
 from swerve.base.arguments import positive_number, whole_number
 from swerve.base.progress import progress_bar
+from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
 from swerve.evidence.estimators import NothingLeftError
 from swerve.evidence.evidence import Evidence
-from swerve.evidence.exact import exact_evidence
-from swerve.evidence.samples import EXACT, METHODS, RESAMPLED, SMC_SOLVERS, TEMPERED, summarise
-from swerve.problem.problem import ProblemRecord
+from swerve.evidence.exact import ExactNominal, exact_evidence
+from swerve.evidence.samples import EXACT, METHODS, RESAMPLED, TEMPERED, Samples, summarise
+from swerve.hypotheses.bits import num_bytes
+from swerve.problem.record import ProblemRecord
 from swerve.problem.tasks import checked_tasks
-from swerve.sampling.one_task import Job, draw_task, whole_islands
+from swerve.sampling.one_task import SamplingJob, sample_task, whole_islands
 from swerve.simulation.policies import ValuedPolicy
-from swerve.solvers.learn import ExactNominal, Nominal, PolicyNominal
-from swerve.solvers.trained.training import TrainedNominal
+from swerve.solvers.base import ManyBetasNominal, Nominal, PolicyNominal
 
 
 def sample(
@@ -50,20 +51,17 @@ def sample(
     Args:
       nominal: from `learn`.
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
-      num_trajectories: N for each task; of no matter where answers are exact.
-      method: "importance" weighs each trajectory by target over proposal, so that the answer is
-        right however imperfect the policy, as long as it covers all modes; "smc" resamples them by
-        weight on the way as well (sequential Monte Carlo; N is then rounded up to a multiple of
-        20), for solvers with a soft value ("grid", "soft-value", "distilled"), whose default it is;
-        "plain" weighs all alike, as the paper does. Solvers that give exact answers take none of
-        these.
-      beta: of the demonstrator, where it is not the one that was learned for. A soft value that
-        was learned for a span of beta is used as it is; else the trajectories are brought there by
-        way of as many temperatures between as it takes (the paper, Theorem 2; see `tempering`),
-        whatever the policy, and `method` is left out. `Evidence.at_beta` is quicker where beta is
-        near.
-      seed: of the sampling. A task's trajectories depend on the seed and the task alone, not on
-        the other tasks of the call.
+      num_trajectories: N for each task; exact solvers ignore it.
+      method: "importance" weighs each trajectory by target over proposal: right however imperfect
+        the policy, as long as it reaches all modes. "smc" also resamples trajectories by weight on
+        the way (sequential Monte Carlo; N is rounded up to a multiple of 20); it needs a soft value
+        ("grid", "soft-value", "distilled") and is the default where there is one. "plain" weighs
+        all alike, as the paper does. Exact solvers take no method.
+      beta: of the demonstrator, where it is not the beta learned for. A soft value that was learned
+        for a span of beta is used directly; otherwise trajectories are tempered to this beta (the
+        paper, Theorem 2; see `tempering`), whatever the policy, and `method` is left out. Where
+        beta is near, `Evidence.at_beta` is quicker.
+      seed: of the sampling. A task's trajectories depend on the seed and the task alone.
       progress: whether to show a progress bar.
 
     Returns:
@@ -98,13 +96,13 @@ def sample_each(
     seed: int,
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
-    """Yield the number of each task and its evidence as soon as it is there; see `sample`.
+    """Yield each task's number and evidence as soon as the task is sampled; see `sample`.
 
-    Tasks with the same goal follow one another, whatever their order.
+    Tasks with the same goal follow one another, whatever the order of the tasks.
     """
     if beta is not None:
         beta = positive_number(beta, "beta")
-        if isinstance(nominal, TrainedNominal) and nominal.covers(beta):
+        if isinstance(nominal, ManyBetasNominal) and nominal.covers(beta):
             nominal, beta = nominal.at_beta(beta), None
     if beta is not None:
         if method not in (None, TEMPERED):
@@ -117,7 +115,7 @@ def sample_each(
         yield from _answer_each(nominal, tasks, method, seed, progress)
     elif isinstance(nominal, PolicyNominal):
         if method is None:
-            method = "smc" if nominal.solver.name in SMC_SOLVERS else "importance"
+            method = nominal.solver.kind.default_method
         if method not in METHODS and beta is None:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         record = nominal.problem.record
@@ -135,7 +133,7 @@ def _answer_each(
     seed: int,
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
-    """Yield the exact evidence of each task in turn."""
+    """Yield the number and the exact evidence of each task."""
     if method == TEMPERED:
         raise ValueError(
             f"beta: the {nominal.solver.name} solver gives exact answers for the problem's beta: "
@@ -168,7 +166,7 @@ def _sample_each(
     seed: int,
     progress: bool,
 ) -> Iterator[tuple[int, Evidence]]:
-    """Yield the evidence of each task, sampled for the beta of a record."""
+    """Yield the number and the evidence of each task, sampled for the beta of a record."""
     batch = checked_tasks(nominal.problem, tasks)
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 2)
     if method in RESAMPLED:
@@ -183,34 +181,38 @@ def _sample_each(
         for goal, policy in enumerate(policies):
             for k in np.flatnonzero(goal_of_task.reshape(-1) == goal).tolist():
                 task = Task(batch.start[k], batch.goal[k])
-                alone = Task(task.start[None], task.goal[None])
-                job = Job(nominal.problem, record, policy, task, num_trajectories, method, seed)
+                job = SamplingJob(
+                    nominal.problem, record, policy, task, num_trajectories, method, seed
+                )
                 if method == "smc" and not isinstance(policy, ValuedPolicy):
+                    valued = ", ".join(solver_names(lambda kind: kind.has_soft_value))
                     raise ValueError(
-                        "method: 'smc' needs a solver with a soft value "
-                        f"({', '.join(SMC_SOLVERS)}), got {nominal.solver.name!r}: use 'importance'"
+                        f"method: 'smc' needs a solver with a soft value ({valued}), got "
+                        f"{nominal.solver.name!r}: use 'importance'"
                     )
                 with _naming(k, task):
-                    samples = draw_task(job, workers.map, advance)
-                    summary = summarise(record, samples, method)
-                yield (
-                    k,
-                    Evidence(
-                        problem=record,
-                        tasks=alone,
-                        method=method,
-                        num_trajectories=num_trajectories,
-                        solver=repr(nominal.solver),
-                        seed=seed,
-                        summary=summary,
-                        load_samples=lambda samples=samples: samples,
-                    ),
-                )
+                    evidence = _sampled(job, sample_task(job, workers.map, advance), nominal)
+                yield k, evidence
+
+
+def _sampled(job: SamplingJob, samples: Samples, nominal: PolicyNominal) -> Evidence:
+    """Return the evidence of one task from its samples."""
+    task = job.task
+    return Evidence(
+        problem=job.record,
+        tasks=Task(task.start[None], task.goal[None]),
+        method=job.method,
+        num_trajectories=job.num_trajectories,
+        solver=repr(nominal.solver),
+        seed=job.seed,
+        summary=summarise(job.record, samples, job.method),
+        load_samples=lambda: samples,
+    )
 
 
 @contextmanager
 def _naming(k: int, task: Task) -> Iterator[None]:
-    """Name the task in whatever goes wrong with it."""
+    """Name the task in the message of any error that it raises."""
     try:
         yield
     except ValueError as error:
@@ -221,12 +223,12 @@ def _naming(k: int, task: Task) -> Iterator[None]:
 
 
 def _check_memory(num_tasks: int, num_trajectories: int, num_hypotheses: int) -> None:
-    """Refuse what would not fit memory: one bit for each (task, trajectory, hypothesis)."""
-    needed = num_tasks * num_trajectories * ((num_hypotheses + 7) // 8)
+    """Raise ValueError where one bit per (task, trajectory, hypothesis) does not fit memory."""
+    needed = num_tasks * num_trajectories * num_bytes(num_hypotheses)
     there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > there:
         raise ValueError(
             f"{num_trajectories:,} trajectories of {num_tasks:,} tasks judged against "
             f"{num_hypotheses:,} hypotheses take {needed / 2**30:,.0f} GiB of memory, and this "
-            f"machine has {there / 2**30:,.0f} GiB: take fewer of one of them"
+            f"machine has {there / 2**30:,.0f} GiB: take fewer trajectories, tasks or hypotheses"
         )

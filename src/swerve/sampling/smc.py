@@ -1,18 +1,18 @@
-"""Twisted sequential Monte Carlo: trajectories of a policy with a value, resampled as they go.
+"""Twisted sequential Monte Carlo: trajectories of a policy with a value, resampled on the way.
 
-A particle begins with the weight exp V_0(s_0) and gains, with each step to where its episode goes
-on (V is 0 where it does not),
+A particle begins with the log-weight V_0(s_0). Each step adds to its log-weight
 
     beta r + log m + V_{t+1}(s') - V_t(s) - log pi(a | s, t),
 
-nothing if V is exact and pi the policy of it. Where the effective sample size of an island's
-weights w falls below half of its P particles, these are drawn anew by weight (systematic
-resampling) and weigh alike; with the means of w before each of these times and at the end,
+which is 0 if V is exact and pi is the policy of V. V is 0 where the episode has ended. Where the
+effective sample size of an island's weights w falls below half of its P particles, the particles
+are resampled by weight (systematic resampling) and all weigh alike afterwards. With the means of w
+before each resampling and at the end,
 
-    log Z_0 ~ sum log mean w,        E[exp of it] = Z_0.
+    log Z_0 ~ sum log mean w,        E[prod mean w] = Z_0.
 
-Islands have nothing to do with one another: how far they agree is how far they can be trusted.
-Ancestry is kept, and followed back once, at the end.
+Islands are independent of one another, so that their spread is the error of the estimate. Each
+particle's ancestors are stored, and followed back once, at the end.
 
 Shapes: N = I P particles in I islands, T steps, n state dimensions, g goal dimensions. The batch is
 the last axis of every array.
@@ -30,19 +30,19 @@ from jaxtyping import Array, Float, Int, Key
 
 from swerve.problem.problem import Problem
 from swerve.simulation.policies import LOWEST, ValuedPolicy, log_measure
-from swerve.simulation.trajectory import Trajectory, draw_action, take_step
+from swerve.simulation.trajectory import Trajectory, sample_action, take_step
 
-RESAMPLED = 0.5  # of an island's particles: where fewer are effective, it is resampled
+RESAMPLED = 0.5  # share of an island's particles: with fewer effective ones it is resampled
 
 
 class Particles(NamedTuple):
-    """Trajectories with what resampling did to their weights.
+    """Trajectories, and their weights after resampling.
 
     Attributes:
       trajectory: N of them, followed back to the start.
       log_weight: [N] log of the weight of each, nats: the mean over an island's particles of its
         exponential is an unbiased estimate of Z_0.
-      root: [N] which of its island's particles each comes from.
+      root: [N] number, within its island, of the particle at the start that each comes from.
     """
 
     trajectory: Trajectory
@@ -54,8 +54,10 @@ class _Particle(NamedTuple):
     """Particles at one time, all [..., N].
 
     Attributes:
+      root: number, within its island, of the particle at the start that each comes from.
       log_weight: gained since the last resampling, nats.
-      owed: what the last step adds to that, but for the value of where it led, nats.
+      owed: what the last step adds to `log_weight`, except the value of the state that it led to,
+        nats.
     """
 
     state: Array
@@ -80,9 +82,9 @@ def smc_rollout(
     """Roll out islands of particles of one task.
 
     Args:
-      policy: what proposes, and says what to expect.
-      start: where all start.
-      goal: of all.
+      policy: proposes the actions, with a soft value.
+      start: of all particles.
+      goal: of all particles.
       key: source of randomness.
       num_islands: I, static.
       num_particles: P of an island, static.
@@ -94,17 +96,7 @@ def smc_rollout(
     key_actions, key_resampling = jax.random.split(key)
     uniforms = jax.random.uniform(key_actions, (num_steps, num))
     offsets = jax.random.uniform(key_resampling, (num_steps, num_islands))
-    zeros = jnp.zeros(num)
-    first = _Particle(
-        state=jnp.broadcast_to(start[:, None], (len(start), num)),
-        total_reward=zeros,
-        log_probability=zeros,
-        length=jnp.zeros(num, jnp.int32),
-        ended=jnp.zeros(num, bool),
-        root=jnp.tile(jnp.arange(num_particles), num_islands),
-        log_weight=zeros,
-        owed=zeros,
-    )
+    first = _at_start(start, num_islands, num_particles)
     propose = jax.vmap(policy.propose, (-1, None, None), -1)
     move = jax.vmap(partial(_move, policy.problem, policy.beta), (-1, -1, None, None, -1), -1)
 
@@ -129,6 +121,22 @@ def smc_rollout(
     return Particles(trajectory, log_weight, last.root)
 
 
+def _at_start(start: Float[Array, " n"], num_islands: int, num_particles: int) -> _Particle:
+    """Return particles that are at the start, each its own root."""
+    num = num_islands * num_particles
+    zeros = jnp.zeros(num)
+    return _Particle(
+        state=jnp.broadcast_to(start[:, None], (len(start), num)),
+        total_reward=zeros,
+        log_probability=zeros,
+        length=jnp.zeros(num, jnp.int32),
+        ended=jnp.zeros(num, bool),
+        root=jnp.tile(jnp.arange(num_particles), num_islands),
+        log_weight=zeros,
+        owed=zeros,
+    )
+
+
 def _move(
     problem: Problem,
     beta: float | Float[Array, ""],
@@ -138,9 +146,9 @@ def _move(
     goal: Array,
     uniform: Array,
 ) -> tuple[_Particle, Array]:
-    """Take one step with one particle, none if it has ended; return the action too."""
+    """Take one step with one particle, unless its episode has ended; return the action too."""
     log_probabilities, value = proposed
-    action, log_probability = draw_action(log_probabilities, uniform)
+    action, log_probability = sample_action(log_probabilities, uniform)
     taken = take_step(problem, particle.state, action, step, goal)
     allowed = ~jnp.isneginf(taken.reward)
     reward = jnp.where(allowed, beta * taken.reward, -jnp.inf)
@@ -160,11 +168,11 @@ def _move(
 def _resampled(
     particles: _Particle, proposed: tuple[Array, Array], offset: Float[Array, " I"]
 ) -> tuple[_Particle, tuple[Array, Array], Float[Array, " I"], Int[Array, " N"]]:
-    """Resample the islands that need it.
+    """Resample the islands whose effective sample size is too low.
 
     Returns:
-      The particles, what is proposed to each, the log-mean of the weights of each island that was
-      resampled [nats], 0 for others, and each particle's ancestor.
+      The particles, the action probabilities and value proposed to each, the log-mean of the
+      weights of each island that was resampled [nats], 0 for others, and each particle's ancestor.
     """
     islands = particles.log_weight.reshape(len(offset), -1)
     num_islands, num_particles = islands.shape
@@ -192,7 +200,7 @@ def _resampled(
 
 
 def _systematic(weight: Float[Array, " P"], offset: Float[Array, ""]) -> Int[Array, " P"]:
-    """Return P indices drawn by weight from one uniform number, by even steps through their sum."""
+    """Return P indices sampled by weight: even steps through its sum, from one uniform number."""
     num = len(weight)
     cumulative = jnp.cumsum(weight)
     points = (jnp.arange(num) + offset) / num * cumulative[-1]

@@ -1,13 +1,14 @@
-"""Tempering: trajectories of pi_0 at one inverse temperature made into those at another.
+"""Temper trajectories of pi_0: turn those at one inverse temperature into those at another.
 
     pi_b(xi) = m exp(b R(xi)) / Z_b,        Z_b' / Z_b = E_b[exp((b' - b) R)]
 
-(the paper, Theorem 2, by way of temperatures between). Trajectories are drawn by the policy and
-weighed for the problem's beta; each further b is chosen such that half of them stay effective. From
-one to the next they are resampled and moved: cut at some step and grown anew from there by the
-policy, which is accepted with probability min(1, exp(l' - l)), l = b R + log m - log pi (Metropolis
-and Hastings; what comes before the cut cancels). What is left of those that were drawn first is
-told by their roots; a trajectory that is grown anew from the start is one of its own.
+(the paper, Theorem 2, by way of temperatures between). The policy samples trajectories, which are
+weighed for the problem's beta. Each further b is chosen such that half of the trajectories stay
+effective. At each b the trajectories are resampled and moved: a trajectory is cut at some step and
+grown anew from there by the policy, and the new trajectory is accepted with probability
+min(1, exp(l' - l)), l = b R + log m - log pi (Metropolis and Hastings; the part before the cut
+cancels). Roots tell which of the first trajectories are left; a trajectory that is grown anew from
+the start becomes its own root.
 
 Shapes: N = I P trajectories in I islands, T steps, n state dimensions, g goal dimensions. The batch
 is the last axis of every array.
@@ -28,11 +29,11 @@ from swerve.base.space import Task
 from swerve.evidence import estimators
 from swerve.problem.problem import Problem
 from swerve.sampling.smc import Particles
-from swerve.simulation.trajectory import Policy, Trajectory, draw_action, take_step
+from swerve.simulation.trajectory import Policy, Trajectory, sample_action, take_step
 
 EFFECTIVE = 0.5  # share of the trajectories that stays effective from one temperature to the next
-NUM_MOVES = 4  # of each trajectory at each temperature
-MAX_TEMPERATURES = 300
+NUM_MOVES = 4  # moves of each trajectory at each temperature, cut at different parts of the horizon
+MAX_TEMPERATURES = 300  # temperatures between two betas before giving up
 
 
 class _Paths(NamedTuple):
@@ -55,22 +56,22 @@ def temper(
     num_particles: int,
     seed: int,
 ) -> Particles:
-    """Draw islands of trajectories of pi_0 at an inverse temperature that is not the problem's.
+    """Sample islands of trajectories of pi_0 at an inverse temperature other than the problem's.
 
     Args:
       problem: the MDP, its beta, the measure and the known constraints.
       policy: near pi_0 at the problem's beta.
       task: start [n] and goal [g].
-      beta: of the trajectories that are wanted.
+      beta: inverse temperature of the trajectories to return.
       num_islands: I.
       num_particles: P of an island.
       seed: of everything random.
 
     Returns:
-      N = I P particles, those of an island after one another and of the same weight.
+      N = I P particles; those of an island follow one another and have the same weight.
 
     Raises:
-      TemperingError: if they do not get there in MAX_TEMPERATURES.
+      TemperingError: if the trajectories do not reach beta in MAX_TEMPERATURES temperatures.
     """
     chains = _Chains(problem, policy, task, num_islands, num_particles, seed)
     chains.resample(chains.log_weight(chains.paths, problem.beta))
@@ -86,22 +87,22 @@ def temper(
             return chains.particles
         at += step
     raise TemperingError(
-        f"tempering from beta {problem.beta:g} towards {beta:g} came only to {at:g} in "
-        f"{MAX_TEMPERATURES} temperatures: learn at a beta nearer to it"
+        f"tempering from beta {problem.beta:g} towards {beta:g} reached only {at:g} in "
+        f"{MAX_TEMPERATURES} temperatures: learn at a beta nearer to {beta:g}"
     )
 
 
 class TemperingError(ValueError):
-    """Too many temperatures lie between the problem's beta and the one that is wanted."""
+    """Too many temperatures lie between the problem's beta and the beta asked for."""
 
 
 class _Chains:
     """Trajectories that are resampled and moved.
 
     Attributes:
-      paths: N of them.
-      log_mean: [I] log of the product of the means of weights so far, nats.
-      root: [N] which of its island's particles each comes from.
+      paths: the N trajectories.
+      log_mean: [I] log of the product of the mean weights at each resampling so far, nats.
+      root: [N] number, within its island, of the first trajectory that each comes from.
     """
 
     def __init__(
@@ -122,12 +123,12 @@ class _Chains:
 
     @property
     def is_alive(self) -> np.ndarray:
-        """[N] whether a trajectory's island has one that enters no known constraint."""
+        """[N] whether a trajectory's island has a trajectory that enters no known constraint."""
         return np.isfinite(self.log_mean).repeat(len(self.own) // len(self.log_mean))
 
     @property
     def reward(self) -> np.ndarray:
-        """[N] R(xi), 0 for those that enter a known constraint: their islands are dead."""
+        """[N] R(xi), 0 for trajectories that enter a known constraint: their islands are dead."""
         reward = _sum(self.paths.reward)
         return np.where(np.isneginf(reward), 0.0, reward)
 
@@ -163,7 +164,7 @@ class _Chains:
         return _grow(self.problem, self.policy, paths, self.goal, jnp.int32(cut), key)
 
     def move(self, beta: float) -> None:
-        """Move each trajectory a few times, cut at the start, late and in between."""
+        """Move each trajectory NUM_MOVES times: cut at the start, late and in between."""
         num_steps = self.problem.mdp.num_steps
         log_weight = self.log_weight(self.paths, beta)
         for k in self.generator.permutation(NUM_MOVES):
@@ -179,7 +180,7 @@ class _Chains:
                 self.root = np.where(accepted, self.own, self.root)
 
     def resample(self, log_weight: np.ndarray) -> None:
-        """Resample every island by weight, systematically; a dead one stays as it is."""
+        """Resample every island by weight, systematically; a dead island stays as it is."""
         num_islands = len(self.log_mean)
         islands = log_weight.reshape(num_islands, -1)
         num = islands.shape[1]
@@ -197,7 +198,7 @@ class _Chains:
 
 
 def _next_step(reward: np.ndarray, rest: float) -> float:
-    """Return the longest step of beta, at most the rest, that leaves enough of the weights."""
+    """Return the longest step of beta, at most the rest, that leaves enough effective samples."""
 
     def is_enough(step: float) -> bool:
         return estimators.effective_sample_size(step * reward) >= EFFECTIVE * len(reward)
@@ -212,7 +213,7 @@ def _next_step(reward: np.ndarray, rest: float) -> float:
 
 
 def _sum(column: Array) -> np.ndarray:
-    """Return the sum [N] of what each step [T, N] adds."""
+    """Return the sum [N] over steps of a column [T, N], in float64."""
     return np.asarray(column, np.float64).sum(axis=0)
 
 
@@ -237,12 +238,12 @@ def _grow(
     cut: Int[Array, ""],
     key: Key[Array, ""],
 ) -> _Paths:
-    """Return trajectories grown anew by the policy from step `cut` on, if they go on so far."""
+    """Return trajectories grown anew by the policy from step `cut` on, unless they end before."""
     num_steps = problem.mdp.num_steps
     uniforms = jax.random.uniform(key, paths.actions.shape)
 
     def step_one(state: Array, step: Array, uniform: Array) -> tuple:
-        action, log_probability = draw_action(policy(state, step, goal), uniform)
+        action, log_probability = sample_action(policy(state, step, goal), uniform)
         return action, log_probability, take_step(problem, state, action, step, goal)
 
     def step_all(step: Array, carry: tuple[_Paths, Array]) -> tuple[_Paths, Array]:
