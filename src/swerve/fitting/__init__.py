@@ -1,1 +1,1 @@
-"""Package."""
+"""Fit what demonstrators want: the rewards that they earned, and their beta."""

@@ -1,12 +1,12 @@
-"""How strictly demonstrators follow the reward: beta by maximum likelihood.
+"""Fit beta, how strictly demonstrators follow the reward, by maximum likelihood.
 
-Of M demonstrations that nothing but the known constraints held back, with what each earned, R_i,
+M demonstrations in which only the known constraints were in force, with total rewards R_i, have
 
     log L(beta) = sum_i [beta R_i - log Z_0(task_i; beta)],
     d/dbeta log L = sum_i [R_i - E_beta R],
 
-but for log m, which does not depend on beta. Log Z_0 and E_beta are estimated by the samples of
-each task, weighed for beta (the paper, Theorem 2), so log L is concave for the estimate as well.
+up to log m, which does not depend on beta. Log Z_0 and E_beta are estimated by the samples of each
+task, weighed for beta (the paper, Theorem 2); the estimate of log L is concave as well.
 
 Shapes: M demonstrations, K tasks, N trajectories, I islands.
 """
@@ -33,12 +33,12 @@ from swerve.inference.ranking import Ranking
 from swerve.problem.problem import Problem
 from swerve.trust.verdicts import HOTTEST
 
-ROUNDING = 1e-5  # relative, of total rewards in float32: closer ones are the same
-MILD = 0.5  # nats: standard deviation of a change of log-weights that does no harm
-NUM_DOWN = 20  # even steps downwards in the search for betas to be trusted
-STEP_UP = 1.25  # factor, in the same search upwards
-MOST_UP = 60  # steps upwards at most: a factor of 650,000
-NUM_HALVINGS = 45  # of an interval of betas
+ROUNDING = 1e-5  # relative: total rewards, sums in float32, that are closer count as the same
+MILD = 0.5  # nats: standard deviation of log-weights so small that few samples cannot dominate
+NUM_DOWN = 20  # steps from the sampling beta down, in the search for betas to be trusted
+STEP_UP = 1.25  # factor between betas, in the search from the sampling beta up
+MOST_UP = 60  # steps up at most: a factor of 650,000 in beta
+NUM_HALVINGS = 45  # bisections of an interval of betas: more than double precision can tell apart
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class BetaFit:
 
     Attributes:
       beta: nats per unit of reward. Infinite where the demonstrations earn no less than the best
-        trajectories sampled, so that by these the likelihood grows with beta for ever (those of a
-        higher beta may tell another story); 0 where they earn no more than acting at random does.
-        Either is "at the boundary", and no estimate.
+        sampled trajectories: by these samples the likelihood grows with beta without end (samples
+        at a higher beta may give a finite beta). 0 where the demonstrations earn no more than
+        random actions do. Both are "at the boundary", and no estimate.
       interval: the betas (low, high) whose log L is less than chi2_1(confidence) / 2 below the
-        maximum, or where beta is infinite below that at the highest beta to be trusted. An end that
-        lies where no beta is to be trusted is 0 or infinite. Sampling error is not part of it.
+        maximum; where beta is infinite, below log L at the highest beta to be trusted. An end that
+        lies outside the betas to be trusted is 0 or infinite. Sampling error is left out.
       standard_error: of beta, from sampling alone; NaN at the boundary.
       trusted: the betas (low, high) between which enough samples count in every task.
       confidence: of the interval.
@@ -88,7 +88,7 @@ class BetaFit:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fit as JSON data, with None for what is infinite or no number."""
+        """Return the fit as JSON data, with None for infinite numbers and NaN."""
         numbers = {
             "beta": self.beta,
             "low": self.interval[0],
@@ -108,17 +108,16 @@ def fit_beta(
     demonstrations: Sequence[Demonstration],
     confidence: float = 0.95,
 ) -> BetaFit:
-    """Estimate beta from demonstrations that no constraint but the known ones held back.
+    """Estimate beta from demonstrations in which only the known constraints were in force.
 
     Args:
-      problem: the model that the evidence is of; its beta does not matter.
+      problem: the problem of the evidence, with its model; its beta does not matter.
       evidence: samples for the task of each demonstration.
-      demonstrations: at least one, with actions; of a tabular MDP, states alone may do.
+      demonstrations: at least one, with actions; of a tabular MDP, states may be enough.
       confidence: of the interval.
 
     Returns:
-      The fit. What speaks against the samples and the demonstrations is in the `warnings` of
-      `infer`.
+      The fit. Doubts about the samples and the demonstrations are in the `warnings` of `infer`.
 
     Raises:
       ValueError: if an argument is of the wrong kind or range, the evidence is exact or of another
@@ -149,9 +148,9 @@ class Point(NamedTuple):
     """Log L at one beta.
 
     Attributes:
-      value: log L but for a constant, nats.
-      score: its derivative, sum_i [R_i - E_beta R].
-      score_error: standard error of that, from sampling.
+      value: log L up to a constant, nats.
+      score: derivative of log L, sum_i [R_i - E_beta R].
+      score_error: standard error of the score, from sampling.
       curvature: minus the second derivative, sum_i Var_beta R.
       effective_sample_size: [K] of the samples weighed for beta.
     """
@@ -171,8 +170,8 @@ class Likelihood:
       earned: sum_i R_i.
       counts: [K] demonstrations of each task, at least one.
       total_reward: [K, N] R of the samples; 0 where a known constraint was entered.
-      log_weight: [K, N] their log-weights at beta = 0, nats.
-      ancestor: [K, N] which of the N trajectories at the start each comes from.
+      log_weight: [K, N] log-weights of the samples at beta = 0, nats.
+      ancestor: [K, N] which of the N trajectories at the start each sample comes from.
     """
 
     earned: float
@@ -183,7 +182,7 @@ class Likelihood:
 
     @classmethod
     def of(cls, evidence: Evidence, task_of: np.ndarray, rewards: np.ndarray) -> Likelihood:
-        """Return that of M demonstrations of these tasks [M] that earned this [M]."""
+        """Return log L of M demonstrations with these tasks [M] and total rewards [M]."""
         tasks, counts = np.unique(task_of, return_counts=True)
         samples, log_weight = evidence.samples, evidence.log_weight[tasks]
         reward = np.asarray(samples.total_reward[tasks], np.float64)
@@ -192,7 +191,7 @@ class Likelihood:
         return cls(float(rewards.sum()), counts, reward, at_zero, samples.ancestor[tasks])
 
     def at(self, beta: float) -> Point:
-        """Return log L at one beta, and what goes with it."""
+        """Return log L, its derivatives and the effective sample size at one beta."""
         reward, counts = self.total_reward, self.counts
         log_weight = self.log_weight + beta * reward
         largest = log_weight.max(axis=1, keepdims=True)
@@ -214,29 +213,29 @@ class Likelihood:
         )
 
     def _effective(self, weight: np.ndarray) -> np.ndarray:
-        """Return (sum w)^2 / sum w^2 [K], weights [K, N] of the same ancestor being added first."""
+        """Return (sum w)^2 / sum w^2 [K] of weights [K, N], summed by ancestor first."""
         group = self.ancestor + weight.shape[1] * np.arange(len(weight))[:, None]
         together = np.bincount(group.ravel(), weight.ravel(), weight.size).reshape(weight.shape)
         return 1.0 / (together**2).sum(axis=1)
 
     @property
     def best_earned(self) -> np.ndarray:
-        """[K] what the best sample of each task earns."""
+        """[K] the highest total reward among the samples of each task."""
         allowed = np.isfinite(self.log_weight)
         return np.where(allowed, self.total_reward, -np.inf).max(axis=1)
 
     @property
     def earns_most(self) -> bool:
-        """Whether the demonstrations earn no less than the best samples, but for rounding."""
+        """Whether the demonstrations earn no less than the best samples, up to rounding."""
         scale = np.maximum(np.abs(self.best_earned), self.total_reward.std(axis=1))
         return bool(self.earned >= self.counts @ (self.best_earned - ROUNDING * scale))
 
 
 def _of_problem(evidence: Evidence, problem: Problem) -> Evidence:
-    """Return evidence with the problem's own record, whose hypotheses may be code.
+    """Return the evidence with the problem's own record, whose hypotheses may be code.
 
     Raises:
-      ValueError: if it is exact, of another problem, or no search can start from its beta.
+      ValueError: if the evidence is exact, or of another problem.
     """
     if evidence.is_exact:
         raise ValueError(
@@ -246,7 +245,7 @@ def _of_problem(evidence: Evidence, problem: Problem) -> Evidence:
     record = dataclasses.replace(problem.record, beta=evidence.problem.beta)
     if record.fingerprint != evidence.problem.fingerprint:
         raise ValueError(
-            "evidence: expected that of the problem, whose beta alone may differ, got evidence of "
+            "evidence: expected evidence of the problem, whose beta alone may differ, got that of "
             f"{evidence.problem.summary} for {record.summary}"
         )
     return dataclasses.replace(evidence, problem=record)
@@ -255,11 +254,11 @@ def _of_problem(evidence: Evidence, problem: Problem) -> Evidence:
 def _trusted(likelihood: Likelihood, evidence: Evidence) -> tuple[float, float]:
     """Return the betas around the sampling beta between which enough samples of each task count.
 
-    The lower one is half of the sampling beta at least (see `trust.is_too_hot`), unless it takes no
-    more than mild weights to get below.
+    The lower beta is at least half of the sampling beta (see `trust.is_too_hot`), unless a still
+    lower beta needs only mild weights.
 
     Raises:
-      ValueError: if too few do at the sampling beta itself.
+      ValueError: if too few samples count at the sampling beta itself.
     """
     beta, least = evidence.sampling_beta, least_effective(evidence.num_trajectories)
 
@@ -282,10 +281,10 @@ def _trusted(likelihood: Likelihood, evidence: Evidence) -> tuple[float, float]:
 
 
 def _best(likelihood: Likelihood, trusted: tuple[float, float]) -> float:
-    """Return the beta at which the derivative of log L is 0, or 0 or infinity if none is.
+    """Return the beta at which the derivative of log L is 0; 0 or infinity at the boundary.
 
     Raises:
-      ValueError: if it is none of the betas to be trusted.
+      ValueError: if this beta is not one of the betas to be trusted.
     """
     low, high = trusted
     if likelihood.earns_most:
@@ -305,7 +304,7 @@ def _best(likelihood: Likelihood, trusted: tuple[float, float]) -> float:
 def _interval(
     likelihood: Likelihood, beta: float, trusted: tuple[float, float], drop: float
 ) -> tuple[float, float]:
-    """Return the betas (low, high) whose log L is less than `drop` below that of the best one."""
+    """Return the betas (low, high) between which log L is less than `drop` below its best value."""
     (least, most), best = trusted, min(beta, trusted[1])
     level = likelihood.at(best).value - drop
     low, high = 0.0, math.inf
@@ -317,7 +316,7 @@ def _interval(
 
 
 def _halved(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return where, between two betas, that ends which holds at the lower one."""
+    """Return, by bisection, the beta up to which a condition holds that holds at the lower beta."""
     for _ in range(NUM_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)

@@ -1,4 +1,6 @@
-"""What a demonstration earned, R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L), and its divergence.
+"""Work out total rewards of demonstrations, and their divergence from a constrained distribution.
+
+    R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L)
 
 Shapes: M demonstrations, L states of one, n state dimensions, m action dimensions.
 """
@@ -21,21 +23,21 @@ from swerve.problem.mdp import MDP
 from swerve.problem.problem import Problem
 from swerve.systems.tabular import TabularMDP
 
-DIGITS = 9  # by which demonstrations are told apart
-ON_TIME = 1e-3  # of a step: rows as close to the MDP's time steps as this are not resampled
+DIGITS = 9  # decimals: demonstrations that agree to so many are the same, up to rounding
+ON_TIME = 1e-3  # of a step: rows as close as this to the MDP's time steps are not interpolated
 
 
 def total_rewards(problem: Problem, demonstrations: Sequence[Demonstration]) -> np.ndarray:
-    """Return what demonstrations earned [M], R_i, by the rewards of the MDP at its time step.
+    """Return the total rewards R_i [M] of demonstrations, at the MDP's time step.
 
-    One with times that are not the MDP's is resampled: states change linearly between rows, angles
-    along their shorter arc, and an action is held until the next. The last state is kept, in as
-    many steps as come nearest to the time it took. What comes after the end of the episode does
-    not count. Without times, rows are taken to be steps.
+    A demonstration whose times are not the MDP's is interpolated: states change linearly between
+    rows, angles along their shorter arc, and an action is held until the next. The last state is
+    kept, and the number of steps is the nearest to the demonstration's duration. Rows after the end
+    of the episode do not count. Without times, each row is a step.
 
     Raises:
-      ValueError: if a demonstration lacks actions, takes more steps than the horizon, or what it
-        earned is not finite.
+      ValueError: if a demonstration lacks actions, takes more steps than the horizon, or has a
+        total reward that is not finite.
     """
     mdp, earned = problem.mdp, []
     for demonstration in demonstrations:
@@ -53,11 +55,11 @@ def total_rewards(problem: Problem, demonstrations: Sequence[Demonstration]) -> 
 def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
     """Return the actions [L-1, m] of a demonstration.
 
-    Those of a tabular MDP are checked against its transitions, or found from them where the
-    demonstration names none and each of its steps can only be made in one way.
+    Actions in a tabular MDP are checked against its transitions. Where the demonstration has no
+    actions and only one action makes each of its steps, these actions are returned.
 
     Raises:
-      ValueError: if actions are not there and cannot be found, or a step is impossible.
+      ValueError: if actions are missing and cannot be found, or a step is impossible.
     """
     name, states, actions = demonstration.name, demonstration.states, demonstration.actions
     if isinstance(mdp, TabularMDP):
@@ -66,8 +68,8 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
     if actions is None or actions.shape[1] != len(mdp.action_names):
         raise ValueError(
             f"{name}: expected actions {', '.join(mdp.action_names)}, got "
-            f"{'none' if actions is None else f'{actions.shape[1]} of them'}: what a demonstration "
-            "earned depends on them"
+            f"{'none' if actions is None else f'{actions.shape[1]} of them'}: the total reward "
+            "depends on them"
         )
     actions = actions[: len(states) - 1]
     check_finite(actions, mdp.action_names, row_namer(name, None))
@@ -75,7 +77,7 @@ def taken_actions(mdp: MDP, demonstration: Demonstration) -> np.ndarray:
 
 
 def _tabular_actions(mdp: TabularMDP, demonstration: Demonstration) -> np.ndarray:
-    """Return the actions [L-1, m] of a demonstration up to where it rests."""
+    """Return the actions [L-1, m] of a demonstration until it rests in its last state."""
     actions, transitions = demonstration.actions, mdp.transitions
     states = demonstration.states[: _num_before_rest(mdp, demonstration)]
     check_transitions(states, actions, transitions, demonstration.name)
@@ -88,10 +90,10 @@ def _tabular_actions(mdp: TabularMDP, demonstration: Demonstration) -> np.ndarra
 
 
 def _num_before_rest(mdp: TabularMDP, demonstration: Demonstration) -> int:
-    """Return how many states there are until the episode has ended and its last state is repeated.
+    """Return the number of states up to the end of the episode, after which the state repeats.
 
     Raises:
-      ValueError: if it goes on elsewhere after its end.
+      ValueError: if the demonstration goes on to another state after the end.
     """
     number = mdp.transitions.number(demonstration.states)
     _, ends = _at_states(mdp, jnp.asarray(demonstration.task.goal, jnp.float32))
@@ -131,14 +133,15 @@ def total_reward(mdp: MDP, demonstration: Demonstration, actions: np.ndarray) ->
 def divergence(
     problem: Problem, demonstrations: Sequence[Demonstration], log_partition: np.ndarray
 ) -> float:
-    """Return KL(demonstrations || pi_C) in nats a demonstration.
+    """Return KL(demonstrations || pi_C) in nats per demonstration.
 
-    It is sum p log p - mean [beta R + log m] + mean log Z_C, where p are the frequencies of the
-    distinct demonstrations among those of their task.
+        KL = sum p log p - mean [beta R + log m] + mean log Z_C,
+
+    where p is the frequency of a distinct demonstration among the demonstrations of its task.
 
     Args:
       problem: dynamics and reward.
-      demonstrations: with actions; of a tabular MDP, states alone may do.
+      demonstrations: with actions; of a tabular MDP, states may be enough.
       log_partition: [M] log Z_C of the task of each demonstration, nats.
 
     Raises:
@@ -151,7 +154,7 @@ def divergence(
     if log_partition.shape != (len(demonstrations),):
         raise ValueError(
             f"log_partition: expected one number for each of {len(demonstrations)} demonstrations, "
-            f"that of its task, got shape {log_partition.shape}"
+            f"log Z_C of its task, got shape {log_partition.shape}"
         )
     log_measure = -math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
     tasks, paths, terms = [], [], []
@@ -167,7 +170,7 @@ def divergence(
 
 
 def _key(*arrays: np.ndarray) -> bytes:
-    """Return what is the same for arrays of the same shapes that are the same but for rounding."""
+    """Return a key that is the same for arrays that are equal up to rounding."""
     return np.concatenate([np.round(a, DIGITS).ravel() + 0.0 for a in arrays]).tobytes()
 
 
@@ -193,7 +196,7 @@ def _at_steps(mdp: MDP, demonstration: Demonstration) -> Demonstration:
 
 
 def _until_end(mdp: MDP, demonstration: Demonstration) -> Demonstration:
-    """Return a demonstration without what comes after the end of its episode."""
+    """Return a demonstration without the rows after the end of its episode."""
     states, goal = (
         jnp.asarray(x, jnp.float32) for x in (demonstration.states, demonstration.task.goal)
     )
@@ -211,7 +214,11 @@ def _until_end(mdp: MDP, demonstration: Demonstration) -> Demonstration:
 
 
 def _only_way(fits: np.ndarray, demonstration: Demonstration) -> np.ndarray:
-    """Return the action [L-1] that alone makes each step, from what fits [L-1, A]."""
+    """Return the only action [L-1] that makes each step, from `fits` [L-1, A]: which actions do.
+
+    Raises:
+      ValueError: if several actions make a step.
+    """
     several = np.flatnonzero(fits.sum(axis=1) > 1)
     if len(several):
         step = int(several[0])
