@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_rooms import ROOMS, WITH_JAX
+from support.rooms import ROOMS, WITH_JAX
 
 import swerve
 

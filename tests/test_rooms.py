@@ -17,48 +17,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from support.rooms import ROOMS, WITH_JAX
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "swerve"
 STORED = ROOT / "tests" / "data" / "before_packages"
 
-ROOMS = (
-    "base",
-    "constraints",
-    "demonstrations",
-    "hypotheses",
-    "problem",
-    "systems",
-    "simulation",
-    "evidence",
-    "inference",
-    "trust",
-    "solvers",
-    "sampling",
-    "fitting",
-    "demonstrators",
-    "monitoring",
-    "presentation",
-    "work",
-    "answer",
-    "reproduce",
-    "cli",
-    "swerve",  # the public names: `swerve/__init__.py`
-)
-WITH_JAX = (  # what may import JAX at module level: packages and modules
-    "problem.mdp",
-    "problem.problem",
-    "problem.tasks",
-    "systems",
-    "simulation",
-    "solvers",
-    "sampling",
-    "fitting",
-    "demonstrators",
-    "monitoring.foresee",
-    "monitoring.continuation",
-    "reproduce",
-)
 WITH_MATPLOTLIB = ("base.figure_style", "presentation", "solvers.trained.history_plot", "reproduce")
 WITH_PUBLIC_NAMES = ("cli", "reproduce")  # what may `import swerve`
 JAX = {"jax", "equinox", "optax"}
