@@ -1,20 +1,20 @@
-"""Constraints of any kind: predicates, unions, and which trajectories violate them."""
+"""The rule of what enters a constraint, unions, and the checks of lists of constraints."""
 
 from __future__ import annotations
 
-import functools
-import math
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from swerve.base.space import TWO_PI, Actions, StateSpace
-from swerve.constraints.base import Union, check_constraints, violates
+from swerve.constraints.base import Union, check_constraints, step_enters, violates
 from swerve.constraints.boxes import ActionBox, Box
 from swerve.constraints.predicate import Predicate
+from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
 
@@ -27,60 +27,51 @@ def in_disc(states: Any) -> Any:
     return (states**2).sum(axis=-1) < 1.0
 
 
-class TestPredicate:
-    def test_contains_what_the_function_says(self) -> None:
-        disc = Predicate("disc", in_disc)
-        states = np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.6, 0.6], [1.0, 0.0]]])
-        np.testing.assert_array_equal(disc.contains(states, PLANE), [[True, False], [True, False]])
-        assert disc.name == "disc"
-
-    def test_repr_says_what_was_given_without_addresses(self) -> None:
-        assert repr(Predicate("disc", in_disc)) == "Predicate('disc', in_disc, num_points=8)"
-        bound = functools.partial(in_disc)
-        assert repr(Predicate("a b", bound, 3)) == "Predicate('a b', partial, num_points=3)"
-
-    def test_crosses_tries_evenly_spaced_points(self) -> None:
-        start, end = np.array([-4.0, 0.0]), np.array([4.0, 0.0])
-        assert Predicate("disc", in_disc).crosses(start, end, PLANE)  # one point in 8 is the middle
-        assert not Predicate("disc", in_disc, num_points=1).crosses(start, end, PLANE)
-        assert not Predicate("disc", in_disc, num_points=3).crosses(start, end, PLANE)
-        assert Predicate("disc", in_disc, num_points=1).crosses(end, np.zeros(2), PLANE)
-        assert Predicate("disc", in_disc, num_points=1).crosses(np.zeros(2), end, PLANE)
-
-    def test_points_follow_the_shorter_arc(self) -> None:
-        low = Predicate("zero", lambda states: np.cos(states[..., 0]) > 0.99)
-        start, end = np.array([0.5, 0.0]), np.array([TWO_PI - 0.5, 0.0])
-        assert low.crosses(start, end, PENDULUM)
-        assert not low.crosses(start, np.array([math.pi, 0.0]), PENDULUM)
-
-    def test_agrees_with_the_box_it_describes(self) -> None:
-        generator = np.random.default_rng(0)
-        states = generator.uniform(-2.0, 2.0, (200, 9, 2))
-        box = Box(x=(0.0, 1.0))
-        strip = Predicate("strip", lambda s: (s[..., 0] >= 0.0) & (s[..., 0] < 1.0), 50)
-        np.testing.assert_array_equal(
-            violates(strip, states, PLANE, False), violates(box, states, PLANE, False)
-        )
-        fine, exact = (violates(c, states[:, :2], PLANE, True) for c in (strip, box))
-        assert not (fine & ~exact).any()
-        assert (fine == exact).mean() > 0.95
-
+class TestStepEnters:
+    @pytest.mark.parametrize("between_states", [True, False])
     @pytest.mark.parametrize(
-        ("function", "got"),
+        "constraint",
         [
-            (lambda states: states > 0, r"bool of shape \(5, 2\)"),
-            (lambda states: states[..., 0], r"float64 of shape \(5,\)"),
-            (lambda states: True, "bool of shape None"),
+            Box(theta=(1.0, 2.0), omega=(-1.0, 1.0)),
+            ActionBox(torque=(0.5, 2.0)),
+            StateAction(Box(omega=(-2.0, 2.0)), ActionBox(torque=(0.5, 2.0))),
+            Union("both", [Box(theta=(1.0, 2.0)), ActionBox(torque=(0.5, 2.0))]),
         ],
     )
-    def test_a_function_that_gives_no_boolean_a_state(self, function: Any, got: str) -> None:
-        message = rf"Predicate 'both': expected one boolean a state, shape \(5,\), got {got}"
-        with pytest.raises(ValueError, match=message):
-            Predicate("both", function).contains(np.zeros((5, 2)), PLANE)
+    def test_a_trajectory_enters_by_a_step_or_by_its_start(
+        self, constraint, between_states
+    ) -> None:
+        generator = np.random.default_rng(0)
+        states = generator.uniform(-6.0, 6.0, (300, 4, 2))
+        torques = generator.uniform(-1.0, 1.0, (300, 3, 1))
+        expected = constraint.contains(states[:, 0], PENDULUM)
+        for k in range(3):
+            actions = Actions(("torque",), torques[:, k])
+            start, end = states[:, k], states[:, k + 1]
+            hit = step_enters(constraint, start, end, PENDULUM, between_states, actions)
+            start, end = jnp.asarray(start), jnp.asarray(end)
+            in_jax = step_enters(constraint, start, end, PENDULUM, between_states, actions)
+            np.testing.assert_array_equal(in_jax, hit)
+            expected = expected | hit
+        actions = Actions(("torque",), torques)
+        found = violates(constraint, states, PENDULUM, between_states, actions)
+        np.testing.assert_array_equal(found, expected)
+        assert 0 < found.sum() < 300
 
-    def test_no_points_are_refused(self) -> None:
-        with pytest.raises(ValueError, match=r"Predicate 'disc': num_points: .* >= 1, got 0"):
-            Predicate("disc", in_disc, 0)
+    def test_an_end_beside_the_set_counts_only_with_the_segment(self) -> None:
+        start, end, box = np.array([-1.0, 0.0]), np.array([2.0, 0.0]), Box(x=(0.0, 1.0))
+        assert step_enters(box, start, end, PLANE, True)
+        assert not step_enters(box, start, end, PLANE, False)
+        inside = np.array([0.5, 0.0])
+        assert step_enters(box, inside, end, PLANE, True)
+        assert not step_enters(box, inside, end, PLANE, False)  # its own step entered it
+
+    def test_without_actions_the_states_alone_are_judged(self) -> None:
+        start, end = np.zeros(2), np.ones(2)
+        both = Union("both", [Box(x=(5.0, 6.0)), ActionBox(torque=(0.0, 1.0))])
+        assert not step_enters(both, start, end, PLANE, True)
+        actions = Actions(("torque",), np.array([0.5]))
+        assert step_enters(both, start, end, PLANE, True, actions)
 
 
 class TestViolates:
