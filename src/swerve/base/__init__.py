@@ -1,1 +1,1 @@
-"""Ground of all packages: what knows no constraint, no problem and no trajectory."""
+"""The ground of all packages: modules that know no constraint, problem or trajectory."""

@@ -1,1 +1,1 @@
-"""Constraints: what may be forbidden, and the rule of what enters it."""
+"""Constraints: forbidden sets of states and actions, and the rule of what enters them."""

@@ -89,7 +89,7 @@ class Constraint(ABC):
 
         Args:
           margin: for some states, how deep inside, in the state's unit.
-          space: what the states are: an interval of a full turn has no ends, and so no margin.
+          space: of the states: an interval of a full turn has no ends, and so no margin.
 
         Raises:
           ValueError: if a margin is negative or no number, or is that of no state; if the margin
@@ -247,7 +247,7 @@ def step_enters(
     between_states: bool,
     actions: Actions | None = None,
 ) -> Any:
-    """Return [...] True where a step enters the constraint: the one rule of what entering is.
+    """Return [...] True where a step enters the constraint: the one rule of entering.
 
     A step enters a constraint where the segment between its two states meets the set or, if states
     alone are judged, where its end lies in the set; and where its action lies in the set.
@@ -256,7 +256,7 @@ def step_enters(
       constraint: the forbidden set.
       starts: [..., n] states in which steps begin, NumPy or JAX.
       ends: [..., n] states in which steps end.
-      space: what the n components are.
+      space: names, angles and bounds of the states.
       between_states: whether the segments between states count as well.
       actions: [..., m] of the steps; without actions the states alone are judged.
     """
@@ -283,7 +283,7 @@ def violates(
     Args:
       constraint: the forbidden set.
       states: [..., T+1, n].
-      space: what the n components are.
+      space: names, angles and bounds of the states.
       between_states: whether the segments between states count as well.
       actions: [..., T, m], required if the constraint is about actions.
     """

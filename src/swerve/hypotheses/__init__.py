@@ -1,1 +1,1 @@
-"""Hypotheses: constraints that are suspected, judged in bulk and step by step."""
+"""Hypotheses: suspected constraints, judged in bulk and step by step, as packed bits."""

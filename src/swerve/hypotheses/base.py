@@ -40,7 +40,7 @@ class HypothesisSet(ABC):
 
         Args:
           states: [N, T+1, n] trajectories.
-          space: what the n components are.
+          space: names, angles and bounds of the states.
           between_states: whether the segments between states count as well.
           actions: [N, T, m], required if a hypothesis is about actions.
         """
@@ -91,7 +91,7 @@ class HypothesisSet(ABC):
 
         Args:
           margin: for some states, how deep inside, in the state's unit.
-          space: what the n components are.
+          space: names, angles and bounds of the states.
 
         Raises:
           ValueError: if a margin is negative or no number, is that of no state, or leaves nothing

@@ -41,7 +41,7 @@ def stepwise(
     Args:
       hypotheses: of the problem.
       judged: the hypotheses less a margin; the same object as `hypotheses` without a margin.
-      space: what the components of a state are.
+      space: names, angles and bounds of the states.
       between_states: whether the segments between states count as well.
     """
     if not isinstance(hypotheses, GridHypotheses):

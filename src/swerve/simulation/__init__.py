@@ -1,1 +1,1 @@
-"""Simulation: running a policy."""
+"""Simulation: running a policy, from the start of a task or on from any state."""
