@@ -1,4 +1,4 @@
-"""The benchmark of training: what it measures against what, and its picture."""
+"""The benchmark of training: its rows, its reference and its picture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from swerve import PPO, SoftValue
-from swerve.solvers.trained.run import Progress
+from swerve.solvers.trained.probe import Progress
 
 ROOT = Path(__file__).resolve().parents[2]
 COLUMNS = ["seconds", "steps", "median_kl", "worst_kl", "median_error", "worst_error"]
@@ -81,7 +81,7 @@ def test_prints_and_draws_how_far_each_solver_is(
 
 
 def test_compares_with_the_truth(training: ModuleType, data: Path) -> None:
-    """At the same task twice only what is said to be exact differs."""
+    """With the same task twice, only the made-up exact values differ."""
     truth = training.read_truth(data, "10")
     run = training.new_run(training.SOLVERS[1], truth)
     nominal = training.TrainedNominal(truth.problem, training.SOLVERS[1], run.policy, np.ones((1,)))

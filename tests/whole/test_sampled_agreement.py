@@ -24,7 +24,7 @@ from support.cases import (
 
 from swerve import Evidence, Task
 from swerve.evidence import estimators
-from swerve.solvers.learn import Solver
+from swerve.solvers.base import Solver
 
 
 @cache

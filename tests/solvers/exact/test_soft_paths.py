@@ -152,7 +152,7 @@ def test_a_horizon_that_ends_walks_is_told() -> None:
 @pytest.mark.parametrize(
     ("start", "goal", "message"),
     [
-        ((0.35, 0.4), (0.6, 1.9), "no state where anybody can be is at the goal"),
+        ((0.35, 0.4), (0.6, 1.9), "no state that can be entered is at the goal"),
         ((-0.6, 3.7), (2.6, 2.4), "no step can be taken near the start"),
     ],
 )

@@ -18,8 +18,8 @@ from support.reference import (
 )
 
 from swerve import MDP, Box, Grid, Pendulum, Predicate, Problem, Task, grid, infer, learn, sample
+from swerve.base.solver_kinds import KINDS
 from swerve.solvers.grid.grid import GridNominal, GridPolicy
-from swerve.trust.verdicts import VALUE_GAP
 
 STANDARD_ERRORS = 4.5
 
@@ -41,7 +41,7 @@ def assert_agrees(problem: Problem, task: Task, least_ess: float = 0.5, num: int
     assert evidence.log_partition[0] == pytest.approx(
         exact.log_partition, abs=STANDARD_ERRORS * spread + 1e-3
     )
-    assert evidence.soft_value[0] == pytest.approx(exact.log_partition, abs=VALUE_GAP["Grid("])
+    assert evidence.soft_value[0] == pytest.approx(exact.log_partition, abs=KINDS["grid"].value_gap)
 
 
 @pytest.mark.parametrize("between_states", [True, False])

@@ -1,9 +1,10 @@
 """Discretised dynamics (Stocking et al., 2021): a table of cells for the tabular method.
 
 A state is a cell of a regular grid over the bounds. An action is held for a few steps of the MDP,
-from the centre of the cell; the cell where that ends is the successor. What is exact on the table
-is not so on the MDP: cells are wide, choices are few, and a state that does not leave its cell
-stays for ever. So how many cells there are and how long an action is held matter: sweep over them.
+from the centre of the cell; the cell where the action ends is the successor. Answers are exact for
+the table, not for the MDP: cells are wide, choices are few, and a state that does not leave its
+cell stays there for ever. So the number of cells and the time that an action is held matter: try
+several of both.
 
 Shapes: S cells, A actions, n state dimensions, P points of a cell, g goal dimensions.
 """
@@ -14,35 +15,34 @@ import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from swerve.base.arguments import whole_number
-from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.base.space import TWO_PI, StateSpace
 from swerve.problem.problem import Problem
+from swerve.solvers.base import LearnOptions, Solver
 from swerve.solvers.exact.tabular import States, TableNominal, check_size
 
 RULES = ("centre", "majority")
-MAX_DIMENSIONS = 4
 DEFAULT_CELLS = {1: 400, 2: 60, 3: 24, 4: 12}  # along each axis
 DEFAULT_STEPS = 50  # of an episode
-ROUNDING = 1e-6  # rad, by which a full turn may be off
+ROUNDING = 1e-6  # rad by which the range of an angle may differ from a full turn
 
 
 @dataclass(frozen=True)
-class Discrete:
-    """Solver: tabular inference on a grid of cells, an action being held for a while.
+class Discrete(Solver[TableNominal]):
+    """Solver: tabular inference on a grid of cells; each action is held for several steps.
 
     Attributes:
       num_cells: cells along each axis, or 0 for 400, 60, 24 or 12 in 1, 2, 3 or 4 dimensions.
       hold: steps of the MDP for which an action is held, or 0 for about 50 choices an episode.
-      low: where the grid begins along each axis; () for the bounds, of angles a full turn.
-      high: where it ends. What is beyond counts as the cell at the edge.
-      rule: "centre": the successor is where the centre of the cell is led; "majority": where most
-        of 2^n + 1 of its points are.
+      low: where the grid begins along each axis; () for the bounds, and a full turn of angles.
+      high: where the grid ends. States beyond the grid count as those of the cell at the edge.
+      rule: "centre": the successor is the cell that the centre of a cell leads to; "majority": the
+        cell that most of 2^n + 1 points of a cell lead to.
     """
 
     num_cells: tuple[int, ...] | int = 0
@@ -71,23 +71,7 @@ class Discrete:
         if self.rule not in RULES:
             raise ValueError(f"Discrete: rule: expected one of {RULES}, got {self.rule!r}")
 
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> TableNominal:
-        """Return the nominal distribution; it is worked out when a task is asked for.
-
-        Nothing is random and nothing is trained, so only `problem` matters.
-
-        Raises:
-          ValueError: if the state has more than 4 dimensions, or the tables would not fit memory.
-        """
-        self.check(problem)
+    def _learn(self, problem: Problem, options: LearnOptions) -> TableNominal:
         cells = Cells(problem.mdp.space, self._shape(problem), self._limits(problem))
         hold = self._hold(problem)
         held = _held(problem, hold)
@@ -113,14 +97,9 @@ class Discrete:
         return TableNominal(problem, self, table, rewards)
 
     def check(self, problem: Problem) -> None:
-        """Raise ValueError where `learn` would."""
+        """Raise ValueError if the grid does not suit the problem, or would not fit memory."""
         mdp, n = problem.mdp, len(problem.mdp.state_names)
-        if n > MAX_DIMENSIONS:
-            raise ValueError(
-                f"the discrete solver takes at most {MAX_DIMENSIONS} state dimensions, "
-                f"{type(mdp).__name__} has {n} ({', '.join(mdp.state_names)}): "
-                "use solver 'soft-value'"
-            )
+        self.check_dimensions(problem)
         shape = self._shape(problem)
         if len(shape) != n:
             raise ValueError(
@@ -146,10 +125,6 @@ class Discrete:
         num_steps = self._num_steps(problem)
         check_size(math.prod(shape), mdp.num_actions, num_steps, len(problem.hypotheses))
 
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TableNominal:
-        """Return the nominal distribution; nothing was stored but the settings."""
-        return self.learn(problem)
-
     def _shape(self, problem: Problem) -> tuple[int, ...]:
         n = len(problem.mdp.state_names)
         if isinstance(self.num_cells, int):
@@ -167,12 +142,12 @@ class Discrete:
         return self.hold or max(1, round(problem.mdp.num_steps / DEFAULT_STEPS))
 
     def _num_steps(self, problem: Problem) -> int:
-        """Return how many choices come nearest to an episode of the MDP."""
+        """Return the number of choices that comes nearest to an episode of the MDP."""
         return max(1, round(problem.mdp.num_steps / self._hold(problem)))
 
 
 class Cells:
-    """A regular grid of cells; angles go round where it covers a full turn of them.
+    """A regular grid of cells; an angle wraps where the grid covers a full turn of it.
 
     Args:
       space: names and angles of the states.
@@ -207,11 +182,11 @@ class Cells:
 
 
 Held = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
-"""Maps states [S, n] and a goal [g] to where actions lead [S, A, n] and what they earn [S, A]."""
+"""Maps states [S, n] and a goal [g] to next states [S, A, n] and total rewards [S, A]."""
 
 
 def _held(problem: Problem, hold: int) -> Held:
-    """Return what holding each action for some steps does; an episode that ends stays."""
+    """Return the step of an action held for `hold` steps; a state where an episode ends stays."""
     mdp = problem.mdp
 
     def hold_action(state: jax.Array, action: jax.Array, goal: jax.Array) -> tuple:
@@ -256,5 +231,5 @@ def _successors(cells: Cells, held: Held, problem: Problem, rule: str) -> np.nda
     votes = np.zeros(candidates.shape)
     for candidate in candidates:
         votes += candidates == candidate
-    votes[0] += 0.5  # the centre's, of several with as many
+    votes[0] += 0.5  # of cells with equally many votes, the one that the centre leads to
     return np.take_along_axis(candidates, votes.argmax(axis=0)[None], axis=0)[0]

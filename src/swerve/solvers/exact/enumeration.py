@@ -3,14 +3,14 @@
     Z_0 = sum_xi m(xi) exp(beta R(xi)),    Z_c = sum_xi m(xi) exp(beta R(xi)) 1[xi avoids c],
 
 over the A^T action sequences; those that differ only after the end of an episode are one
-trajectory. Sequences that begin alike are a tree. A node of it is a path so far, and is expanded by
-all actions at once: its reward grows by that of the step, and it has entered what it had entered
-before or what the new segment of two states enters. Nodes are expanded in blocks, breadth first
-while they are few and depth first from there, so that memory does not grow with A^T. A path is
-named by its code, the number whose digits to base A are its actions.
+trajectory. Sequences that begin alike form a tree. A node of the tree is a path so far. All actions
+expand a node at once: the reward of the step is added to that of the path, and what the new segment
+of two states enters to what the path has entered. Nodes are expanded in blocks, breadth first while
+there are few and depth first from there, so that memory does not grow with A^T. The code of a path
+is the number whose digits to base A are its actions.
 
 Shapes: N nodes or leaves, A actions, T steps, n states, H hypotheses, B = ceil(H / 8) bytes,
-M = NUM_KEPT trajectories drawn, S sets of hypotheses.
+M = NUM_KEPT trajectories sampled, S sets of hypotheses.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -29,27 +28,28 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from swerve.base.arguments import whole_number
+from swerve.base.solver_kinds import suggested_solver
 from swerve.base.space import Actions, Task
 from swerve.evidence import estimators
-from swerve.evidence.exact import Drawn, ExactAnswer
+from swerve.evidence.exact import ExactAnswer, KeptTrajectories
 from swerve.evidence.samples import NUM_KEPT
-from swerve.hypotheses.base import enters_set, pack_sets
+from swerve.hypotheses.bits import enters_set, no_bits, pack_sets
 from swerve.problem.problem import Problem
 from swerve.problem.tasks import checked_task
 from swerve.simulation.trajectory import Step, take_step
-from swerve.solvers.grid.grid import MAX_DIMENSIONS
+from swerve.solvers.base import LearnOptions, Solver
 
 BLOCK = 1 << 14  # paths that are made at once: few enough to stay in cache
-BLOCK_BYTES = 1 << 28  # for what judging these needs at once
+BLOCK_BYTES = 1 << 28  # bytes for judging a block of paths, at most
 PRODUCT = 1 << 17
 """Trajectories times hypotheses that are weighed at once. A larger matrix product is shared among
-threads, which wait for one another: 50 times as long as it takes, where the cores are busy."""
+threads, which wait for one another: 50 times slower where the cores are busy."""
 LEAST_PADDED = 512  # nodes in the smallest batch that a step is compiled for
-MAX_SEQUENCES = 2**63 - 1  # that a code can tell apart
+MAX_SEQUENCES = 2**63 - 1  # action sequences that the 64 bits of a code can tell apart
 
 
 @dataclass(frozen=True)
-class Enumeration:
+class Enumeration(Solver["EnumerationNominal"]):
     """Solver: go through every action sequence, for horizons of about ten steps.
 
     Attributes:
@@ -69,55 +69,35 @@ class Enumeration:
             )
         object.__setattr__(self, "max_sequences", limit)
 
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> EnumerationNominal:
-        """Return the nominal distribution; sequences are gone through when a task is asked for.
-
-        Nothing is trained, so only `problem` matters.
-
-        Raises:
-          ValueError: if there are too many action sequences.
-        """
-        self.check(problem)
+    def _learn(self, problem: Problem, options: LearnOptions) -> EnumerationNominal:
         return EnumerationNominal(problem, self)
 
     def check(self, problem: Problem) -> None:
         """Raise ValueError where there are too many action sequences, before any work."""
         num_actions, num_steps = problem.mdp.num_actions, problem.mdp.num_steps
         digits = num_steps * math.log10(num_actions)
-        # a number of thousands of digits is not worked out
+        # a power of more digits than a float holds is not computed
         num_sequences = num_actions**num_steps if digits < 20 else math.inf
         if num_sequences > self.max_sequences:
             size = f"{num_sequences:,}" if digits < 20 else f"10^{digits:.0f}"
-            other = "grid" if len(problem.mdp.state_names) <= MAX_DIMENSIONS else "soft-value"
-            other = "tabular" if problem.mdp.space.is_lattice else other
+            space = problem.mdp.space
+            other = suggested_solver(space.is_lattice, len(space.names))
             raise ValueError(
                 f"the enumeration solver would go through {num_actions}^{num_steps} = {size} "
                 f"action sequences, at most {self.max_sequences:,} are allowed (max_sequences): "
                 f"shorten num_steps, or use solver {other!r}"
             )
 
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> EnumerationNominal:
-        """Return the nominal distribution; nothing was stored but the settings."""
-        return self.learn(problem)
-
 
 @dataclass(frozen=True, eq=False)
 class EnumerationNominal:
-    """pi_0 by summation over all action sequences, when a task is asked for."""
+    """pi_0 by summation over all action sequences, computed when a task is asked for."""
 
     problem: Problem
     solver: Enumeration
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return nothing: there is nothing to learn."""
+        """Return no arrays: nothing is learned."""
         return {}
 
     def answer(
@@ -127,9 +107,9 @@ class EnumerationNominal:
         advance: Callable[[float], None] = lambda share: None,
         avoiding: Sequence[int] = (),
     ) -> ExactAnswer:
-        """Return log Z_0, Z_c / Z_0 and trajectories from pi_0; see `nominal.ExactNominal`.
+        """Return log Z_0, Z_c / Z_0 and trajectories from pi_0; see `ExactNominal`.
 
-        Where nothing is allowed, log Z_0 is -inf, Z_c / Z_0 NaN, and no trajectory is drawn.
+        Where no trajectory is allowed, log Z_0 is -inf, Z_c / Z_0 NaN, and none is kept.
 
         Raises:
           ValueError: if the MDP returns NaN, an infinite state or a reward of +inf.
@@ -144,12 +124,12 @@ class EnumerationNominal:
                 part = leaves.at(slice(first, first + size))
                 log_mass = np.logaddexp(log_mass, _log_masses(part, num_hypotheses))
             share = math.exp(np.logaddexp.reduce(leaves.log_weight) - log_mass[0])
-            kept = _redrawn(kept, leaves, share, generator)
-        with np.errstate(invalid="ignore"):  # nothing is allowed
+            kept = _resampled(kept, leaves, share, generator)
+        with np.errstate(invalid="ignore"):  # where no trajectory is allowed
             log_ratio = np.minimum(log_mass[1:] - log_mass[0], 0.0)
         states = _replay(self.problem, task, kept)
-        drawn = Drawn(states, kept.total_reward, kept.length, kept.violations)
-        return ExactAnswer(float(log_mass[0]), log_ratio, drawn)
+        sampled = KeptTrajectories(states, kept.total_reward, kept.length, kept.violations)
+        return ExactAnswer(float(log_mass[0]), log_ratio, sampled)
 
     def log_partition(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
         """Return log Z_C for sets C of hypotheses, over trajectories that avoid all in the set.
@@ -179,10 +159,10 @@ class _Nodes(NamedTuple):
     """Paths of the same number of steps.
 
     Attributes:
-      state: [N, n] where they have come to, float32.
+      state: [N, n] last states, float32.
       total_reward: [N] R so far.
       violations: [N, B] packed bits of the hypotheses entered so far.
-      code: [N] their actions.
+      code: [N] codes of the actions.
     """
 
     state: np.ndarray
@@ -200,7 +180,7 @@ class _Leaves(NamedTuple):
 
     Attributes:
       length: [N] steps taken.
-      code: [N] their actions.
+      code: [N] codes of the actions.
       total_reward: [N] R(xi).
       violations: [N, B] packed bits.
       log_weight: [N] beta R + log m, nats.
@@ -220,12 +200,12 @@ class _Leaves(NamedTuple):
 def _walk(
     problem: Problem, task: Task, advance: Callable[[float], None], avoiding: np.ndarray
 ) -> Iterator[_Leaves]:
-    """Yield all trajectories that are allowed, block by block; the one way through the tree.
+    """Yield all allowed trajectories, block by block.
 
-    Those that enter a hypothesis of `avoiding`, packed bits [B], are left out.
+    Trajectories that enter a hypothesis of `avoiding`, packed bits [B], are left out.
     """
     num_actions, num_hypotheses = problem.mdp.num_actions, len(problem.hypotheses)
-    bytes_a_path = 8 * (num_hypotheses + 100)  # generously: a boolean each while they are judged
+    bytes_a_path = 8 * (num_hypotheses + 100)  # generous, for judging a path
     size = max(1, min(BLOCK, BLOCK_BYTES // bytes_a_path) // num_actions)
     waiting = [(0, _root(problem, task.start))]
     while waiting:
@@ -246,15 +226,15 @@ def _walk(
 
 
 def _root(problem: Problem, start: np.ndarray) -> _Nodes:
-    """Return the start; what it lies in itself is entered with the first segment."""
-    bits = np.zeros((1, (len(problem.hypotheses) + 7) // 8), np.uint8)
+    """Return the start as a path; a hypothesis around the start is entered with the first step."""
+    bits = no_bits(1, len(problem.hypotheses))
     return _Nodes(np.asarray(start, np.float32)[None], np.zeros(1), bits, np.zeros(1, np.int64))
 
 
 def _expand(
     problem: Problem, goal: np.ndarray, step: int, nodes: _Nodes
 ) -> tuple[_Nodes, np.ndarray]:
-    """Return the paths that are one step longer and allowed, and which of them [N] have ended."""
+    """Return the allowed paths that are one step longer, and which of these [N] have ended."""
     mdp, hypotheses = problem.mdp, problem.hypotheses
     states, rewards, endings = _take_steps(problem, nodes.state, step, goal)
     wrong = ~np.isfinite(states).all(axis=-1) | np.isnan(rewards) | np.isposinf(rewards)
@@ -285,7 +265,7 @@ def _take_steps(
     """Return next states, rewards and endings [N, A, ...] of all actions in states [N, n]."""
     size = LEAST_PADDED
     while size < len(states):
-        size *= 8  # few sizes, so that little is compiled
+        size *= 8  # few sizes, since each is compiled
     padded = np.resize(states, (size, states.shape[1]))
     taken = _take_all(problem, jnp.asarray(padded), jnp.int32(step), jnp.asarray(goal, jnp.float32))
     return tuple(np.asarray(column)[: len(states)] for column in taken)
@@ -301,7 +281,7 @@ def _take_all(
 
 
 def _blame(problem: Problem, segment: np.ndarray, action: int, goal: np.ndarray, step: int) -> str:
-    """Say which method of the MDP returned what is no number, on a segment [2, n]."""
+    """Return a message that names the method of the MDP which failed on a segment [2, n]."""
     mdp, taken = problem.mdp, problem.mdp.actions[action]
     where = f"at step {step} from state {segment[0].tolist()} by action {taken.tolist()}"
     before, after, target = (jnp.asarray(x, jnp.float32) for x in (*segment, goal))
@@ -328,25 +308,26 @@ def _log_masses(leaves: _Leaves, num_hypotheses: int) -> np.ndarray:
     """Return the log of the weight [1 + H] of all trajectories and of those that avoid each."""
     found = estimators.avoid_probability(leaves.log_weight, leaves.violations, num_hypotheses)
     shares = np.concatenate([[1.0], found.avoid_probability])
-    with np.errstate(divide="ignore"):  # among these, nothing avoids a hypothesis
+    with np.errstate(divide="ignore"):  # where none of these trajectories avoids a hypothesis
         return np.logaddexp.reduce(leaves.log_weight) + np.log(shares)
 
 
-def _redrawn(
+def _resampled(
     kept: _Leaves, leaves: _Leaves, share: float, generator: np.random.Generator
 ) -> _Leaves:
-    """Let each of M trajectories give way, with probability `share`, to a new one by weight.
+    """Replace each of M trajectories, with probability `share`, by a new one sampled by weight.
 
-    Where the new ones have that share of all weight so far, each is a draw from all so far.
+    If the new ones have that share of the total weight so far, each result is sampled by weight
+    from all trajectories so far.
     """
     cumulative = np.cumsum(estimators.normalise(leaves.log_weight))
     points = cumulative[-1] * generator.random(NUM_KEPT)
-    drawn = leaves.at(np.searchsorted(cumulative, points, side="right"))
+    sampled = leaves.at(np.searchsorted(cumulative, points, side="right"))
     if not len(kept.code):
-        return drawn
+        return sampled
     changes = generator.random(NUM_KEPT) < share
     rows = np.arange(NUM_KEPT) + np.where(changes, NUM_KEPT, 0)
-    return _Leaves(*(np.concatenate(pair)[rows] for pair in zip(kept, drawn, strict=True)))
+    return _Leaves(*(np.concatenate(pair)[rows] for pair in zip(kept, sampled, strict=True)))
 
 
 def _replay(problem: Problem, task: Task, kept: _Leaves) -> np.ndarray:

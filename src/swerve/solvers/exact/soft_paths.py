@@ -3,8 +3,8 @@
     Z_0(s) = sum over walks xi from s to where an episode ends of m exp(beta R(xi)),
     pi(a | s) = m exp(beta r(s, a)) Z_0(s') / Z_0(s),
 
-on the states of a table, worked out as in `walks`: no sampling, no horizon and no error. That is
-pi_0 of the MDP if walks end before its horizon, which is checked.
+on the states of a table, computed as in `walks`: no sampling, no horizon and no error. The result
+is pi_0 of the MDP if walks end before its horizon, which is checked.
 
 Shapes: S states of the table, P of them between which there are steps, A actions, M steps, K tasks,
 H hypotheses, B = ceil(H / 8) bytes, N trajectories, T steps of the horizon.
@@ -16,66 +16,48 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from swerve.base.space import Task
-from swerve.evidence.exact import Drawn, ExactAnswer
+from swerve.evidence.exact import ExactAnswer, KeptTrajectories
 from swerve.evidence.samples import NUM_KEPT
-from swerve.hypotheses.base import pack_sets, unpack
+from swerve.hypotheses.bits import pack_sets, unpack_range
 from swerve.problem.problem import Problem
+from swerve.solvers.base import LearnOptions, Solver
 from swerve.solvers.exact.discrete import Discrete
 from swerve.solvers.exact.tabular import TableNominal, Tabular
 from swerve.solvers.exact.walks import Ends, Steps, Walks
 from swerve.systems.tabular import TabularMDP
 
-MAX_STATES = 8000  # whose matrix takes 0.5 GB and minutes
-NUM_FOUND = 3  # sets of hypotheses in force whose matrices are kept, some 0.1 GB each
-COLUMNS = 1 << 8  # hypotheses, whose steps are looked up at once
-SMALLEST = 1e-290  # sums of weights that are numbers with all their digits
-SHARED = ("_bits", "_steps", "_rewards")  # what no beta changes and takes long to work out
-LATE = 1e-3  # share of walks that may be longer than the horizon
+MAX_STATES = 8000  # states P: their matrix takes 0.5 GB and minutes
+NUM_FOUND = 3  # sets of hypotheses in force whose matrices are kept, about 0.1 GB each
+COLUMNS = 1 << 8  # hypotheses whose steps are looked up at once, to bound memory
+SMALLEST = 1e-290  # least sum of weights that float64 holds with all its digits
+SHARED = ("_bits", "_steps", "_rewards")  # slow to compute, and the same for every beta
+LATE = 1e-3  # share of the walks that may be longer than the horizon
 
 
 @dataclass(frozen=True)
-class SoftPaths:
-    """Solver: exact sums over walks of any length, for MDPs whose rewards no goal changes.
+class SoftPaths(Solver["PathNominal"]):
+    """Solver: exact sums over walks of any length, for rewards that do not depend on the goal.
 
     Attributes:
-      num_cells: cells of the table along each axis; from centre to centre of these the actions must
-        lead. 0 takes what the MDP says, as a Walker does. A tabular MDP is its own table.
+      num_cells: cells of the table along each axis; actions must lead from the centre of a cell to
+        the centre of another. 0 takes the `num_cells` of the MDP, which a Walker has. A tabular MDP
+        is its own table.
     """
 
     num_cells: tuple[int, ...] | int = 0
 
     name = "soft-paths"
 
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> PathNominal:
-        """Return the nominal distribution; it is worked out when a task is asked for.
-
-        Nothing is random and nothing is trained, so only `problem` matters.
-
-        Raises:
-          ValueError: as the solvers that make the table do, `tabular` and `discrete`.
-        """
+    def _learn(self, problem: Problem, options: LearnOptions) -> PathNominal:
         return PathNominal(problem, self, self._maker(problem).learn(problem))
 
     def check(self, problem: Problem) -> None:
-        """Raise ValueError where `learn` would."""
+        """Raise ValueError where `tabular` or `discrete`, which makes the table, would."""
         self._maker(problem).check(problem)
-
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> PathNominal:
-        """Return the nominal distribution; nothing was stored but the settings."""
-        return self.learn(problem)
 
     def _maker(self, problem: Problem) -> Tabular | Discrete:
         if isinstance(problem.mdp, TabularMDP):
@@ -88,9 +70,9 @@ class PathNominal:
     """pi_0 on a table of states, over walks of any length.
 
     Attributes:
-      problem: what it is for.
-      solver: how it was made.
-      table: states and steps, which do not depend on beta: its own may be another.
+      problem: problem that was learned.
+      solver: solver that learned the problem.
+      table: states and steps, which do not depend on beta: the beta of the table may be another.
     """
 
     problem: Problem
@@ -99,11 +81,11 @@ class PathNominal:
     _found: dict[tuple[int, ...], Walks] = dataclasses.field(default_factory=dict, repr=False)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return nothing: all is worked out from the problem."""
+        """Return no arrays: everything is computed from the problem."""
         return {}
 
     def at_beta(self, beta: float) -> PathNominal:
-        """Return that of another beta, which shares what does not depend on it."""
+        """Return the nominal distribution of another beta, sharing what beta does not change."""
         other = PathNominal(dataclasses.replace(self.problem, beta=beta), self.solver, self.table)
         other.__dict__.update({name: getattr(self, name) for name in SHARED})
         return other
@@ -115,9 +97,10 @@ class PathNominal:
         advance: Callable[[float], None] = lambda share: None,
         avoiding: Sequence[int] = (),
     ) -> ExactAnswer:
-        """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories drawn from pi_0.
+        """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories sampled from pi_0.
 
-        With hypotheses to be avoided it is log Z_C, P(avoid c | avoid C) and draws from pi_C.
+        With hypotheses C in force, by `avoiding`, the answer is log Z_C, P(avoid c | avoid C) and
+        trajectories sampled from pi_C.
 
         Raises:
           ValueError: if walks of all lengths have no finite sum, no walk arrives, or more than a
@@ -126,9 +109,9 @@ class PathNominal:
         walks, start, ends = self._walks(avoiding), self._start(task), self._ends(task)
         values = walks.values(ends)
         log_ratio = self._log_ratio(task, walks, start, ends)
-        drawn = self._draw(task, walks, start, ends, generator)
+        kept = self._sample(task, walks, start, ends, generator)
         advance(1.0)
-        return ExactAnswer(float(np.log(values[start])), log_ratio, drawn)
+        return ExactAnswer(float(np.log(values[start])), log_ratio, kept)
 
     def log_ratio(self, tasks: Task, avoiding: Sequence[int] = ()) -> np.ndarray:
         """Return log P(avoid c | avoid C) [K, H] of tasks, starts [K, n] and goals [K, g], nats."""
@@ -149,9 +132,9 @@ class PathNominal:
             return np.log(walks.avoiding(start, ends) / total)
 
     def _walks(self, avoiding: Sequence[int]) -> Walks:
-        """Return the walks that avoid some hypotheses; those last asked for are kept."""
+        """Return the walks that avoid some hypotheses; the last NUM_FOUND sets are kept."""
         key = tuple(sorted(avoiding))
-        pack_sets([key], len(self.problem.hypotheses))  # refuses what is no such list
+        pack_sets([key], len(self.problem.hypotheses))  # raises unless it lists indices
         walks = self._found.pop(key, None) or self._walks_of(key)
         self._found[key] = walks
         while len(self._found) > NUM_FOUND:
@@ -176,12 +159,12 @@ class PathNominal:
 
     @cached_property
     def _numbers(self) -> np.ndarray:
-        """[M] the steps that are allowed, among all S * A."""
+        """[M] numbers of the allowed steps, among all S * A."""
         return np.flatnonzero(self.table.allowed)
 
     @cached_property
     def _bits(self) -> np.ndarray:
-        """[M, B] packed bits of the hypotheses that each of them enters."""
+        """[M, B] packed bits of the hypotheses that each allowed step enters."""
         problem, (steps, actions) = self.problem, self.table.steps
         return problem.hypotheses.violations(
             steps[self._numbers],
@@ -213,8 +196,8 @@ class PathNominal:
         num_hypotheses = len(self.problem.hypotheses)
         entering: list[np.ndarray] = []
         for first in range(0, num_hypotheses, COLUMNS):
-            some = self._bits[:, first // 8 : (first + COLUMNS) // 8]
-            enters = unpack(some, min(COLUMNS, num_hypotheses - first))
+            stop = min(first + COLUMNS, num_hypotheses)
+            enters = unpack_range(self._bits, first, stop)
             entering += [np.flatnonzero(column) for column in enters.T]
         return Steps(sources, targets, len(self._states), entering)
 
@@ -224,10 +207,10 @@ class PathNominal:
         return self.table.rewards(np.zeros(len(self.problem.mdp.goal_names)))
 
     def _start(self, task: Task) -> int:
-        """Return the state nearest to a start, among the P.
+        """Return the number of the state, among the P, nearest to a start.
 
         Raises:
-          ValueError: if there is none as near as the longest step.
+          ValueError: if no state is as near to the start as the longest step is long.
         """
         own = np.searchsorted(self._states, number := self.table.start(task))
         if own < len(self._states) and self._states[own] == number:
@@ -244,8 +227,8 @@ class PathNominal:
         """Return where episodes of a task end.
 
         Raises:
-          ValueError: if they end nowhere, or may end without being there, or its goal changes
-            rewards.
+          ValueError: if episodes end nowhere, terminal rewards are finite elsewhere, or rewards
+            depend on the goal.
         """
         if (self.table.rewards(task.goal) != self._rewards)[self.table.allowed].any():
             raise ValueError(
@@ -261,13 +244,13 @@ class PathNominal:
             )
         states = np.flatnonzero(ended & np.isfinite(terminal))
         if not len(states):
-            raise ValueError(f"{_of(task)}: no state where anybody can be is at the goal")
+            raise ValueError(f"{_of(task)}: no state that can be entered is at the goal")
         return Ends(states, np.exp(self.problem.beta * terminal[states]))
 
-    def _draw(
+    def _sample(
         self, task: Task, walks: Walks, start: int, ends: Ends, generator: np.random.Generator
-    ) -> Drawn:
-        """Draw trajectories from pi_0, leaving out the few that are longer than the horizon."""
+    ) -> KeptTrajectories:
+        """Sample trajectories from pi_0, without the few that are longer than the horizon."""
         num_steps = self.problem.mdp.num_steps
         late = walks.longer(start, ends, num_steps)
         if late > LATE:
@@ -275,7 +258,7 @@ class PathNominal:
                 f"{_of(task)}: {late:.2g} of the walks are longer than the horizon of {num_steps} "
                 f"steps, expected at most {LATE:g}: raise num_steps, or beta"
             )
-        steps, length = walks.draw(start, ends, NUM_KEPT, num_steps, generator)
+        steps, length = walks.sample(start, ends, NUM_KEPT, num_steps, generator)
         taken = np.arange(num_steps) < length[:, None]
         path = np.concatenate([np.full((NUM_KEPT, 1), start), walks.steps.target[steps]], axis=1)
         last = np.take_along_axis(path, length[:, None], axis=1)
@@ -283,7 +266,7 @@ class PathNominal:
         numbers, terminal = self._numbers[steps], self.table.ends(task.goal)[0][self._states]
         walked = np.split(steps[taken], np.cumsum(length)[:-1])
         entered = [np.bitwise_or.reduce(self._bits[part], axis=0) for part in walked]
-        return Drawn(
+        return KeptTrajectories(
             states=self.table.table.states[self._states[path]],
             total_reward=np.where(taken, self._rewards.ravel()[numbers], 0.0).sum(axis=1)
             + terminal[last[:, 0]],

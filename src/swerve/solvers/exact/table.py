@@ -5,9 +5,10 @@ With m the base measure of a step and all rewards times beta, in nats,
     V_t(s) = log sum_a exp(r(s, a) + log m + V_{t+1}(s')),   r_T(s) at t = T and where it ended,
     pi_t(a | s) = exp(r(s, a) + log m + V_{t+1}(s') - V_t(s)),   log Z_0 = V_0(start).
 
-The forward pass carries, for each hypothesis, the mass of the trajectories that have not entered it
-so far; what is left of it at the end is Z_c / Z_0. (The paper accrues the mass that has entered;
-this is the same, and keeps all its digits where next to nothing avoids.)
+The forward pass carries, for each hypothesis, the mass of the trajectories that have not entered
+the hypothesis so far; the mass at the end is Z_c / Z_0. (The paper adds up the mass that has
+entered. The result is the same, but this one keeps all its digits where hardly any trajectory
+avoids the hypothesis.)
 
 Shapes: S states, A actions, T steps, K hypotheses, M trajectories.
 """
@@ -50,7 +51,7 @@ class Table:
 
     @cached_property
     def values(self) -> np.ndarray:
-        """[T+1, S] soft values V, nats; -inf where no allowed trajectory goes on."""
+        """[T+1, S] soft values V, nats; -inf where no trajectory from there is allowed."""
         values = np.empty((self.num_steps + 1, len(self.terminal)))
         values[-1] = self.terminal
         for step in range(self.num_steps - 1, -1, -1):
@@ -59,7 +60,7 @@ class Table:
         return values
 
     def policy(self, step: int, states: Any = slice(None)) -> np.ndarray:
-        """Return pi_t(a | s) [S, A] of all states or some; 0 where ended or without a way on."""
+        """Return pi_t(a | s) [S, A] of all states or some; 0 where no trajectory goes on."""
         value = self.values[step, states]
         going = np.isfinite(value) & ~self.ended[states]
         ahead = self.reward[states] + self.values[step + 1][self.successors[states]]
@@ -73,7 +74,7 @@ class Table:
 
         Args:
           start: number of a state from which trajectories are allowed.
-          enters: [S * A, K] True where a step, from either of its ends, enters a hypothesis.
+          enters: [S * A, K] True where a step enters a hypothesis, at its ends or between.
           advance: called with the share done since the last call.
         """
         clean = np.zeros((len(self.terminal), enters.shape[1]))
@@ -88,10 +89,10 @@ class Table:
             advance(1.0 / self.num_steps)
         return over + clean.sum(axis=0)
 
-    def draw(
+    def sample(
         self, start: int, num: int, generator: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Draw trajectories from pi_0.
+        """Sample trajectories from pi_0.
 
         Returns:
           States [M, T+1] and actions [M, T], by number, and lengths [M]; after its end a trajectory

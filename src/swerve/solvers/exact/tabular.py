@@ -1,7 +1,7 @@
 """Tabular maximum likelihood constraint inference (Scobee & Sastry, 2019): exact, no sampling.
 
-`Tabular` reads the tables of a tabular MDP. What it shares with `Discrete`, which makes a table of
-continuous dynamics, is `TableNominal`.
+`Tabular` reads the tables of a tabular MDP; `Discrete` makes a table of continuous dynamics. Both
+give a `TableNominal`.
 
 Shapes: S states, A actions, n state dimensions, m action dimensions, T steps, H hypotheses,
 B = ceil(H / 8) bytes, M trajectories.
@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -22,42 +21,27 @@ import numpy as np
 from swerve.base.space import Actions, Task
 from swerve.constraints.base import violates
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.evidence.exact import Drawn, ExactAnswer
+from swerve.evidence.exact import ExactAnswer, KeptTrajectories
 from swerve.evidence.samples import NUM_KEPT
-from swerve.hypotheses.base import enters_set, pack_sets, unpack
+from swerve.hypotheses.bits import enters_set, num_bytes, pack_sets, unpack_range
 from swerve.problem.problem import Problem
 from swerve.problem.tasks import checked_task
+from swerve.solvers.base import LearnOptions, Solver
 from swerve.solvers.exact.table import Table
 from swerve.systems.tabular import TabularMDP
 
-BLOCK = 1 << 22  # (step, hypothesis) pairs that are carried forward at once
-MEMORY_BYTES = 8 << 30
-SMALLEST = 1e-280  # mass that is carried forward with all its digits
+BLOCK = 1 << 22  # (step, hypothesis) pairs that are carried forward at once, to bound memory
+MEMORY_BYTES = 8 << 30  # bytes: larger tables are refused
+SMALLEST = 1e-280  # least mass that float64 carries forward with all its digits
 
 
 @dataclass(frozen=True)
-class Tabular:
+class Tabular(Solver["TableNominal"]):
     """Solver: exact dynamic programming on the states of a tabular MDP."""
 
     name = "tabular"
 
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> TableNominal:
-        """Return the nominal distribution; it is worked out when a task is asked for.
-
-        Nothing is random and nothing is trained, so only `problem` matters.
-
-        Raises:
-          ValueError: if the MDP is not tabular, or the tables would not fit memory.
-        """
-        self.check(problem)
+    def _learn(self, problem: Problem, options: LearnOptions) -> TableNominal:
         mdp = problem.mdp
         assert isinstance(mdp, TabularMDP)
         return TableNominal(
@@ -78,16 +62,12 @@ class Tabular:
             )
         check_size(mdp.num_states, mdp.num_actions, mdp.num_steps, len(problem.hypotheses))
 
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TableNominal:
-        """Return the nominal distribution; nothing was stored but the settings."""
-        return self.learn(problem)
-
 
 def check_size(num_states: int, num_actions: int, num_steps: int, num_hypotheses: int) -> None:
     """Raise ValueError where tables would not fit memory."""
     values = 8 * num_states * (num_steps + 1)
     steps = num_states * num_actions
-    bits = steps * ((num_hypotheses + 7) // 8) + 100 * steps
+    bits = steps * num_bytes(num_hypotheses) + 100 * steps
     if values + bits > MEMORY_BYTES:
         raise ValueError(
             f"{num_states:,} states, {num_actions} actions, {num_steps} steps and "
@@ -104,7 +84,7 @@ class States(NamedTuple):
       successors: [S, A] the state that each action leads to, negative where it is not offered.
       num_steps: T.
       number: maps states [..., n] to the number of the nearest [...].
-      step: seconds that an action lasts.
+      step: duration of an action, seconds.
     """
 
     states: np.ndarray
@@ -119,9 +99,9 @@ class TableNominal:
     """pi_0 on a table of states, exactly.
 
     Attributes:
-      problem: what it is for; its hypotheses and known constraints are judged at the states of the
-        table, and on the straight lines between them if the problem says so.
-      solver: how the table was made.
+      problem: problem that was learned; its hypotheses and known constraints are judged at the
+        states of the table, and on the straight lines between them if the problem says so.
+      solver: solver that made the table.
       table: the states.
       rewards: maps a goal [g] to the rewards [S, A] of all steps.
     """
@@ -132,7 +112,7 @@ class TableNominal:
     rewards: Callable[[np.ndarray], np.ndarray]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return nothing: all is worked out from the problem."""
+        """Return no arrays: everything is computed from the problem."""
         return {}
 
     def answer(
@@ -142,9 +122,10 @@ class TableNominal:
         advance: Callable[[float], None] = lambda share: None,
         avoiding: Sequence[int] = (),
     ) -> ExactAnswer:
-        """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories drawn from pi_0.
+        """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories sampled from pi_0.
 
-        With hypotheses to be avoided it is log Z_C, P(avoid c | avoid C) and draws from pi_C.
+        With hypotheses C in force, by `avoiding`, the answer is log Z_C, P(avoid c | avoid C) and
+        trajectories sampled from pi_C.
         """
         start, goal_table = self.start(task), self.goal_table(task.goal, avoiding)
         log_partition = float(goal_table.values[0, start])
@@ -154,18 +135,18 @@ class TableNominal:
         for first in range(0, num_hypotheses if np.isfinite(log_partition) else 0, block):
             some = slice(first, min(first + block, num_hypotheses))
             share = (some.stop - some.start) / num_hypotheses
-            enters = unpack(self.bits[:, first // 8 : -(-some.stop // 8)], some.stop - some.start)
+            enters = unpack_range(self.bits, some.start, some.stop)
             avoid[some] = goal_table.avoid_probability(
                 start, enters, lambda part, share=share: advance(share * part)
             )
-        drawn = self._draw(task, start, goal_table, generator)
+        kept = self._sample(task, start, goal_table, generator)
         log_ratio = self._log_ratio(task, avoid, log_partition, avoiding)
-        return ExactAnswer(log_partition, log_ratio, drawn, self.table.step)
+        return ExactAnswer(log_partition, log_ratio, kept, self.table.step)
 
     def _log_ratio(
         self, task: Task, avoid: np.ndarray, log_partition: float, avoiding: Sequence[int]
     ) -> np.ndarray:
-        """Return log Z_c / Z_0 [H]; those that are no number are worked out with c in force."""
+        """Return log Z_c / Z_0 [H]; ratios below SMALLEST are computed anew with c in force."""
         tiny = np.flatnonzero(avoid < SMALLEST)
         log_ratio = np.log(np.clip(avoid, SMALLEST, 1.0))
         sets = [(*avoiding, int(index)) for index in tiny]
@@ -173,7 +154,7 @@ class TableNominal:
         return log_ratio
 
     def log_partition(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
-        """Return log Z_C for each set C of hypotheses: of what avoids all of them, nats.
+        """Return log Z_C, over the trajectories that avoid all hypotheses of a set C, nats.
 
         Args:
           task: start [n] and goal [g].
@@ -182,7 +163,7 @@ class TableNominal:
         Raises:
           ValueError: if the task or an index does not fit the problem.
         """
-        pack_sets(avoiding, len(self.problem.hypotheses))  # refuses what is no such list
+        pack_sets(avoiding, len(self.problem.hypotheses))  # raises unless sets of indices
         return self._log_partitions(checked_task(self.problem, task), avoiding)
 
     def _log_partitions(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
@@ -194,14 +175,15 @@ class TableNominal:
         return int(self.table.number(np.asarray(task.start, float)))
 
     def snapped(self, demonstration: Demonstration) -> Demonstration:
-        """Return a demonstration moved to the states of the table, its start too, each told once.
+        """Return a demonstration moved to the states of the table, its start too.
 
-        Of its actions and times those are kept with which it goes on to another state.
+        A state that the demonstration stays in is kept once. Actions and times are kept where the
+        demonstration goes on to another state.
         """
         number = self.table.number(demonstration.states)
         leaves = np.flatnonzero(np.diff(number))
         kept = np.append(leaves, len(number) - 1)
-        if not len(leaves):  # it never leaves one; two states are the least
+        if not len(leaves):  # all in one state: a demonstration has two states at least
             leaves, kept = np.zeros(1, int), np.array([0, len(number) - 1])
         states = self.table.states[number[kept]]
         return Demonstration(
@@ -213,9 +195,9 @@ class TableNominal:
         )
 
     def goal_table(self, goal: np.ndarray, avoiding: Sequence[int] = ()) -> Table:
-        """Return the table of one goal, in nats, without steps that enter known constraints.
+        """Return the table of one goal, in nats, for what is allowed.
 
-        Nor has it steps that enter one of the hypotheses to be avoided.
+        Steps that enter a known constraint, or a hypothesis in force by `avoiding`, are left out.
         """
         [members] = pack_sets([avoiding], len(self.problem.hypotheses))
         allowed = self.allowed & ~enters_set(self.bits, members).reshape(self.allowed.shape)
@@ -291,16 +273,16 @@ class TableNominal:
             )
         return allowed.reshape(self.table.successors.shape)
 
-    def _draw(
+    def _sample(
         self, task: Task, start: int, goal_table: Table, generator: np.random.Generator
-    ) -> Drawn:
-        """Draw trajectories from pi_0; none where nothing is allowed."""
+    ) -> KeptTrajectories:
+        """Sample trajectories from pi_0; none where no trajectory is allowed."""
         num = NUM_KEPT if np.isfinite(goal_table.values[0, start]) else 0
-        states, actions, length = goal_table.draw(start, num, generator)
+        states, actions, length = goal_table.sample(start, num, generator)
         rewards, (terminal, _) = self.rewards(task.goal), self.ends(task.goal)
         taken = np.arange(goal_table.num_steps) < length[:, None]
         bits = self.bits.reshape(*goal_table.reward.shape, -1)[states[:, :-1], actions]
-        return Drawn(
+        return KeptTrajectories(
             states=self.table.states[states],
             total_reward=np.where(taken, rewards[states[:, :-1], actions], 0.0).sum(axis=1)
             + terminal[states[:, -1]],
@@ -310,5 +292,5 @@ class TableNominal:
 
 
 def _scaled(rewards: np.ndarray, beta: float) -> np.ndarray:
-    """Return rewards in nats; -inf stays, whatever beta."""
+    """Return rewards in nats; -inf stays -inf, whatever beta."""
     return np.where(np.isneginf(rewards), -np.inf, beta * np.where(np.isinf(rewards), 0.0, rewards))

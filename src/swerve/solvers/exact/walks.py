@@ -1,4 +1,4 @@
-"""Sums over the walks of all lengths on a table of states, by linear algebra.
+"""Sum the weights of the walks of all lengths on a table of states, by linear algebra.
 
 With w(s, s') the sum of the weights of the steps from s to s', the walks of all lengths from one
 state to another have the sum of weights
@@ -31,10 +31,10 @@ import scipy.sparse
 import scipy.sparse.csgraph
 import scipy.sparse.linalg
 
-BLOCK = 64  # hypotheses whose small matrices are worked out at once
-CANCELLED = 1e-8  # share of a sum: of a smaller difference too few digits are left
-GONE = 1e-12  # share of walks that is none
-NEGATIVE = -1e-9  # what rounding may leave of a sum of weights that is 0
+BLOCK = 64  # hypotheses whose small matrices are solved at once, to bound memory
+CANCELLED = 1e-8  # share of Z_0: a smaller Z_c has lost its digits, and is solved for on its own
+GONE = 1e-12  # share of the walks that counts as none
+NEGATIVE = -1e-9  # least number that rounding may make of a sum of weights that is 0
 
 
 class Steps(NamedTuple):
@@ -61,7 +61,7 @@ class Ends(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What some hypotheses take away, padded to the same size.
+    """The steps that some hypotheses take away, padded to the same size.
 
     Attributes:
       hypotheses: [B] their indices.
@@ -81,8 +81,8 @@ class Walks:
     """Walks of all lengths.
 
     Attributes:
-      steps: what they are made of.
-      weight: [M] of each step; 0 where it is not allowed.
+      steps: the steps that walks consist of.
+      weight: [M] weight of each step; 0 for a step that is not allowed.
     """
 
     steps: Steps
@@ -101,7 +101,7 @@ class Walks:
           ValueError: if the walks have no finite sum.
         """
         green = np.linalg.inv(np.eye(self.steps.num_states) - self.matrix.toarray())
-        if not green.min() > NEGATIVE:  # all of (1 - w)^-1 is so if and only if the series is
+        if not green.min() > NEGATIVE:  # (1 - w)^-1 has negative elements where the series diverges
             raise ValueError("longer and longer walks weigh more and more: there is no finite sum")
         return green
 
@@ -119,7 +119,7 @@ class Walks:
         return np.asarray(self.weight * values[target] / going[source])
 
     def longer(self, start: int, ends: Ends, num_steps: int) -> float:
-        """Return the share of the walks from a start that take more than some number of steps."""
+        """Return the share of the walks from a start that take more than `num_steps` steps."""
         onwards = self._matrix(self.policy(ends)).T.tocsr()
         there = np.zeros(self.steps.num_states)
         there[start] = 1.0
@@ -130,13 +130,13 @@ class Walks:
                 return 0.0
         return float(there.sum())
 
-    def draw(
+    def sample(
         self, start: int, ends: Ends, num: int, most: int, generator: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw walks of at most some number of steps.
+        """Sample walks of at most `most` steps, by rejecting longer ones.
 
         Returns:
-          Steps [num, most], any after the end, and lengths [num].
+          Steps [num, most], arbitrary after the end of a walk, and lengths [num].
         """
         order = np.argsort(self.steps.source, kind="stable")
         total = np.concatenate([[0.0], np.cumsum(self.policy(ends)[order])])
@@ -176,7 +176,7 @@ class Walks:
 
     @cached_property
     def blocks(self) -> list[Block]:
-        """What the hypotheses take away, those of about the same size together."""
+        """Blocks of hypotheses, those that take away about as many steps together."""
         sizes = np.array([len(steps) for steps in self.steps.entering])
         order = np.argsort(sizes, kind="stable")
         return [self._block(order[k : k + BLOCK]) for k in range(0, len(order), BLOCK)]
@@ -199,7 +199,7 @@ class Walks:
         return Block(hypotheses, sources, targets, kernel)
 
     def _solved(self, start: int, ends: Ends, taken: np.ndarray) -> float:
-        """Return Z_c without the steps taken away, all of its digits."""
+        """Return Z_c, without the steps taken away, to all digits by solving for it alone."""
         weight, size = self.weight.copy(), self.steps.num_states
         weight[taken] = 0.0
         goes = weight > 0.0
@@ -228,7 +228,7 @@ class Walks:
 
 
 def _reaching(matrix: Any, ends: np.ndarray) -> np.ndarray:
-    """Return the states, in order, from which walks lead to some states, and these."""
+    """Return in order the states from which walks lead to the ends, and the ends themselves."""
     backwards = matrix.T.tocsr()
     found = [
         scipy.sparse.csgraph.breadth_first_order(backwards, end, return_predecessors=False)

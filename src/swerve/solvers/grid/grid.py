@@ -11,9 +11,9 @@ evaluated at the state itself, not at a node, so interpolation errors enter V al
 not depend on time nor on the goal, so interpolation at all successors of all nodes is one sparse
 matrix, and tasks with the same goal share one backward pass.
 
-Steps into a known constraint are left out of the sum. A node from which every step is forbidden is
-closed, and so is one whose steps all lead to where only closed nodes are around. V at a state is
-interpolated from nodes that are open and in sight, not behind a wall.
+Steps into a known constraint are left out of the sum. A node is closed if every step from the node
+is forbidden, or leads to where all nodes around are closed. V at a state is interpolated from nodes
+that are open and in sight, not behind a wall.
 
 Shapes: S nodes, A actions, T steps, n state dimensions, G goals solved at once.
 """
@@ -24,7 +24,6 @@ import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,9 +31,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from swerve.base.arguments import whole_number
-from swerve.base.space import Task
 from swerve.problem.problem import Problem
 from swerve.simulation.policies import FORBIDDEN, LookAhead, log_measure
+from swerve.solvers.base import AdaptingSolver, LearnOptions
 from swerve.solvers.grid.interpolation import STENCIL, StateGrid, choose_smooth
 from swerve.solvers.grid.model import (
     CLIFF,
@@ -47,14 +46,13 @@ from swerve.solvers.grid.model import (
     is_open,
 )
 
-MAX_DIMENSIONS = 3
-DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # along a straight axis; angles have half as many
-VALUES_BYTES = 1 << 30  # backward passes that are held at once
-MATRIX_BYTES = 8 << 30
+DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # nodes along a straight axis; an angle has half as many
+VALUES_BYTES = 1 << 30  # bytes of soft values held at once: more goals are solved in blocks
+MATRIX_BYTES = 8 << 30  # bytes: a grid that needs more for a matrix or for values is refused
 
 
 @dataclass(frozen=True)
-class Grid:
+class Grid(AdaptingSolver["GridNominal"]):
     """Solver: soft dynamic programming on a state grid, then one-step look-ahead.
 
     Attributes:
@@ -73,22 +71,7 @@ class Grid:
         else:
             whole_number(self.num_points, "Grid: num_points", 0)
 
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> GridNominal:
-        """Return the nominal distribution; the backward passes run when a goal is sampled.
-
-        Nothing is random and nothing is trained, so only `problem` matters.
-
-        Raises:
-          ValueError: if the state has more than 3 dimensions, or the grid would not fit memory.
-        """
+    def _learn(self, problem: Problem, options: LearnOptions) -> GridNominal:
         return GridNominal(problem, dataclasses.replace(self, num_points=self._resolution(problem)))
 
     def adapted(self, nominal: GridNominal, problem: Problem, seed: int) -> Iterator[GridNominal]:
@@ -96,23 +79,14 @@ class Grid:
         yield GridNominal(problem, self)
 
     def check(self, problem: Problem) -> None:
-        """Raise ValueError where `learn` would."""
+        """Raise ValueError if the grid does not suit the problem, or would not fit memory."""
         self._resolution(problem)
-
-    def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> GridNominal:
-        """Return the nominal distribution; nothing was stored but the settings."""
-        return self.learn(problem)
 
     def _resolution(self, problem: Problem) -> tuple[int, ...]:
         """Return the nodes along each axis, checked against dimensions and memory."""
         space = problem.mdp.space
         n = len(space.names)
-        if n > MAX_DIMENSIONS:
-            raise ValueError(
-                f"the grid solver takes at most {MAX_DIMENSIONS} state dimensions, "
-                f"{type(problem.mdp).__name__} has {n} ({', '.join(space.names)}): "
-                "use solver 'soft-value'"
-            )
+        self.check_dimensions(problem)
         if self.num_points == 0:
             points = DEFAULT_POINTS[len(space.names)]
             resolution = tuple(points // 2 if angle else points for angle in space.is_angle)
@@ -166,7 +140,7 @@ class GridPolicy(LookAhead):
 
 @dataclass(frozen=True, eq=False)
 class GridNominal:
-    """pi_0 by dynamic programming: any goal's policy, worked out when it is asked for."""
+    """pi_0 by dynamic programming; the policy of a goal is computed when it is asked for."""
 
     problem: Problem
     solver: Grid
@@ -178,7 +152,7 @@ class GridNominal:
         return StateGrid(self.problem.mdp.space, self.solver.num_points)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return nothing: the values of a goal are cheaper to work out than to keep."""
+        """Return no arrays: the values of a goal are cheaper to compute than to keep."""
         return {}
 
     def policies(

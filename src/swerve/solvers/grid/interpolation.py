@@ -5,10 +5,10 @@ The value at a point is a weighted sum over the 4 nearest nodes along each axis,
     V(x) = sum_k w_k(x) V(node_k),    w = product over axes of Lagrange weights,
 
 so that interpolating at fixed points is one sparse matrix. Where the cubic and the linear value
-differ by more than a tolerance there is a cliff in between, near which a cubic overshoots; repeated
-through a recursion that prefers high values the overshoot would grow without bound, so there the
-linear value, which cannot overshoot, is taken. Angles are periodic; elsewhere points beyond the
-outermost nodes are moved onto them.
+differ by more than a tolerance there is a cliff, near which a cubic overshoots. In a recursion that
+prefers high values the overshoot would grow without bound, so the linear value, which cannot
+overshoot, is taken there. Angles are periodic; on other axes points beyond the outermost nodes are
+moved onto them.
 
 Shapes: n state dimensions, S nodes in all, K = 4^n nodes a stencil.
 """
@@ -24,12 +24,12 @@ from jaxtyping import Array, Float, Int
 
 from swerve.base.space import StateSpace
 
-STENCIL = 4  # nodes along one axis
-SMOOTH = 1.0  # nats between cubic and linear interpolation beyond which there is a cliff
+STENCIL = 4  # nodes of a cubic along one axis
+SMOOTH = 1.0  # nats between the cubic and the linear value beyond which there is a cliff
 
 
 class Stencil(NamedTuple):
-    """What interpolates at one point, over all axes or along one.
+    """Nodes and weights that interpolate at one point, over all axes or along one.
 
     Attributes:
       nodes: [K] indices of nodes.

@@ -1,7 +1,7 @@
-"""What soft dynamic programming on a grid needs of an MDP: successors, rewards and endings.
+"""Evaluate what dynamic programming on a grid needs of an MDP: successors, rewards and endings.
 
-Everything here is evaluated once, at the nodes: dynamics depend neither on time nor on the goal, so
-interpolating V at all successors of all nodes is one sparse matrix.
+Everything here is evaluated once, at the nodes. Dynamics depend neither on time nor on the goal, so
+one sparse matrix interpolates V at all successors of all nodes.
 
 Shapes: S nodes, A actions, n state dimensions, G goals solved at once.
 """
@@ -21,9 +21,9 @@ from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import enters
 from swerve.solvers.grid.interpolation import StateGrid, Stencil, choose_smooth
 
-CLOSED = -1e8  # nats, where no way out is known; less bad, since the grid may be too coarse to tell
-CLIFF = -1e6  # nats, what a cubic sees of a closed node, so that the linear value is taken
-BATCH = 4096  # cells whose surroundings are looked at together
+CLOSED = -1e8  # nats, V of a closed node; above FORBIDDEN, since a coarse grid may miss a way out
+CLIFF = -1e6  # nats, V of a closed node in a cubic: far off, so that the linear value is taken
+BATCH = 4096  # cells whose surroundings are judged at once, to bound memory
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Successors:
     Attributes:
       states: [A*S, n].
       cubic: [A*S, S] sparse; times values at nodes, gives values at successors.
-      linear: [A*S, S] the same by linear interpolation, between nodes in sight alone.
-      forbidden: [A*S] whether the step there enters a known constraint.
-      clear: [A*S] whether no known constraint is around where it leads; None if none is known.
+      linear: [A*S, S] the same by linear interpolation, from nodes in sight alone.
+      forbidden: [A*S] whether the step to the successor enters a known constraint.
+      clear: [A*S] whether no known constraint is near the successor; None if none is known.
     """
 
     states: np.ndarray
@@ -58,7 +58,7 @@ class Successors:
 
 
 def is_open(values: Any) -> Any:
-    """Return where a value is that of a state from which there is a way on."""
+    """Return where a value is that of an open node, from which some step is allowed."""
     return values > CLOSED / 2
 
 
@@ -73,12 +73,12 @@ def in_sight(problem: Problem, grid: StateGrid, state: Float[Array, " n"]) -> St
 
 
 def clear_cells(problem: Problem, grid: StateGrid) -> np.ndarray | None:
-    """Return for each cell whether its corners see all nodes that a cubic takes there.
+    """Return for each cell whether all nodes of its cubic stencil are in sight of its corners.
 
-    Elsewhere a known constraint is near, and a cubic would see through it.
+    Elsewhere a known constraint is near, and a cubic would interpolate through the constraint.
 
     Returns:
-      [S] booleans, a cell having the number of its lowest corner; None if nothing is known.
+      [S] booleans, a cell having the number of its lowest corner; None if no constraint is known.
     """
     if not problem.known:
         return None
@@ -99,7 +99,7 @@ def clear_cells(problem: Problem, grid: StateGrid) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class GoalModel:
-    """What depends on the goals: [S, G] at nodes, [A*S, G] at successors, in nats."""
+    """Rewards and endings of G goals: [S, G] at nodes, [A*S, G] at successors, in nats."""
 
     node_terminal: np.ndarray
     node_ended: np.ndarray
@@ -194,7 +194,7 @@ def goal_model(
 def _check_rewards(
     problem: Problem, nodes: np.ndarray, goals: np.ndarray, model: GoalModel
 ) -> None:
-    """Refuse rewards that are not finite; raise ValueError naming where the first of them is."""
+    """Raise ValueError naming the first reward that is not finite, and where it was returned."""
     mdp = problem.mdp
     for label, value in (("terminal_reward", model.node_terminal), ("reward", model.reward)):
         bad = np.argwhere(~np.isfinite(value))

@@ -1,4 +1,4 @@
-"""Checkpoints: files that a solver which trains writes as it goes, and resumes from."""
+"""Write and read checkpoints: files from which an interrupted training goes on."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ VERSION = 5
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The file of one run, or none: then nothing is written and nothing found.
+    """The file of one run; without a path nothing is written and nothing is found.
 
     Attributes:
-      path: of the file, or None.
-      problem: that is learned.
-      settings: of the solver.
-      seed: of the run.
-      teacher: fingerprint of what the run imitates; empty where it imitates nothing.
+      path: path of the file, or None.
+      problem: problem that is learned.
+      settings: the solver, a dataclass of settings.
+      seed: seed of the run.
+      teacher: fingerprint of the policy that the run imitates; empty for none.
     """
 
     path: Path | None
@@ -42,7 +42,7 @@ class Checkpoint:
         """Return the arrays written last, or None where there is no file.
 
         Raises:
-          ValueError: if they are those of another run.
+          ValueError: if the file is of another run.
           store.StoreError: if the file is cut short, altered, or of another kind or version.
         """
         if self.path is None or not self.path.exists():

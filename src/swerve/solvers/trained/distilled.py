@@ -1,24 +1,39 @@
 """A direct policy distilled from a soft value: one network evaluation a step.
 
-Looking ahead asks the soft value once for every action. A smaller network that gives the logits of
-the policy and the soft value at once is made to do as it does, where it leads and anywhere else,
+Looking ahead evaluates the soft value once for every action. Here a smaller network, which gives
+the logits of the policy and the soft value at once, learns to imitate the look-ahead policy, on the
+trajectories of that policy and anywhere else,
 
     loss = KL(pi_look || pi) + Huber((V - B V) / (1 + |B V| / scale)).
 
-It is several times quicker to sample and a little further from pi_0. Having a value, it is sampled
-by sequential Monte Carlo, whose weights make up for that.
+The direct policy is several times quicker to sample and a little further from pi_0. Since it has a
+soft value, it is sampled by sequential Monte Carlo, whose weights correct for the distance.
+
+Shapes: N lanes, L steps of a segment, G minibatches, A actions, F features, n states, g goal
+dimensions. The batch is the last axis of every array.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
 from swerve.base.space import Task
 from swerve.problem.problem import Problem
-from swerve.simulation.policies import ValuedPolicy
-from swerve.solvers.trained.distilled_training import Trainer
+from swerve.simulation.policies import LOWEST, ValuedPolicy
+from swerve.solvers.base import LearnOptions
+from swerve.solvers.trained import losses
+from swerve.solvers.trained.lanes import Lanes, over_lanes
+from swerve.solvers.trained.networks import DenseNetwork, to_arrays
+from swerve.solvers.trained.segments import Segment
 from swerve.solvers.trained.soft_value import SoftValue
+from swerve.solvers.trained.trainers import NetworkState, NetworkTrainer
 from swerve.solvers.trained.training import TrainedNominal, TrainingSolver
 
 
@@ -54,27 +69,16 @@ class Distilled(TrainingSolver):
         super().__post_init__()
         self.check_divides("num_minibatches", "segment")
 
-    def learn(
-        self,
-        problem: Problem,
-        *,
-        tasks: Task | None = None,
-        seed: int = 0,
-        progress: bool = False,
-        checkpoint: Path | None = None,
-    ) -> TrainedNominal:
+    def _learn(self, problem: Problem, options: LearnOptions) -> TrainedNominal:
         """Learn a soft value with `SoftValue()`, and imitate looking ahead with it.
 
         The checkpoint of the soft value is a file beside that of the imitation, its name with
         `.teacher` appended.
         """
+        checkpoint = options.checkpoint
         beside = checkpoint and checkpoint.with_name(f"{checkpoint.name}.teacher")
-        teacher = SoftValue().learn(
-            problem, tasks=tasks, seed=seed, progress=progress, checkpoint=beside
-        )
-        return self.imitate(
-            teacher, tasks=tasks, seed=seed, progress=progress, checkpoint=checkpoint
-        )
+        teacher = SoftValue().learn(problem, **options._replace(checkpoint=beside)._asdict())
+        return self.imitate(teacher, **options._asdict())
 
     def imitate(
         self,
@@ -97,12 +101,92 @@ class Distilled(TrainingSolver):
         Raises:
           ValueError: if the teacher's policy has no soft value.
         """
+        return self._imitate(teacher, LearnOptions(tasks, seed, progress, checkpoint))
+
+    def _imitate(self, teacher: object, options: LearnOptions) -> TrainedNominal:
         if not isinstance(teacher, TrainedNominal) or not isinstance(teacher.policy, ValuedPolicy):
             name = getattr(getattr(teacher, "solver", teacher), "name", teacher)
             raise ValueError(f"teacher: expected what swerve.SoftValue() learned, got {name!r}")
-        trainer = Trainer(teacher.problem, self, seed, teacher.policy)
-        return self.train(trainer, teacher.problem, tasks, seed, progress, checkpoint)
+        trainer = DistilledTrainer(teacher.problem, self, options.seed, teacher.policy)
+        return self.train(trainer, teacher.problem, options)
 
-    def trainer(self, problem: Problem, seed: int) -> Trainer:
+    def trainer(self, problem: Problem, seed: int) -> DistilledTrainer:
         """Return what would train, had it something to imitate."""
-        return Trainer(problem, self, seed, None)
+        return DistilledTrainer(problem, self, seed, None)
+
+
+class DirectPolicy(ValuedPolicy):
+    """A policy and a soft value by one network, for all goals.
+
+    Attributes:
+      loss_scale: of its values.
+    """
+
+    problem: Problem = eqx.field(static=True)
+    loss_scale: float = eqx.field(static=True)
+    network: DenseNetwork
+
+    def propose(
+        self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
+    ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return log pi(a | s, t) of every action, and what it takes for V_t(s) [nats]."""
+        return self.of(self.problem.mdp.features(state, step, goal))
+
+    def of(self, features: Float[Array, " F"]) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+        """Return the same of features."""
+        output = self.network(features)
+        value = losses.value_of_output(output[-1], self.loss_scale)
+        return jax.nn.log_softmax(output[:-1]), value
+
+
+class DistilledTrainer(NetworkTrainer):
+    """One run, with the policy that is imitated."""
+
+    settings: Distilled
+
+    def __init__(
+        self, problem: Problem, settings: Distilled, seed: int, teacher: ValuedPolicy | None
+    ) -> None:
+        super().__init__(problem, settings, seed)
+        self.teacher = teacher
+
+    @property
+    def imitated(self) -> str:
+        """Fingerprint of the teacher's network."""
+        weights = hashlib.sha256()
+        for array in to_arrays(self.teacher).values():
+            weights.update(array.tobytes())
+        return weights.hexdigest()
+
+    def policy(self, network: DenseNetwork) -> DirectPolicy:
+        """Return the policy of a network."""
+        return DirectPolicy(self.problem, self.settings.loss_scale, network)
+
+    def sizes(self, num_features: int) -> tuple[int, int]:
+        """Return how many inputs and outputs the network has."""
+        return num_features, self.problem.mdp.num_actions + 1
+
+    def look(
+        self, state: NetworkState, lane: Lanes, place: Array
+    ) -> tuple[Array, tuple[Array, Array, Array]]:
+        """Return log pi [A] of the teacher, features, log pi again, and its soft value [nats]."""
+        assert self.teacher is not None
+        log_probabilities, value = self.teacher.propose(*lane)
+        features = self.problem.mdp.features(*lane)
+        return log_probabilities, (features, log_probabilities, jnp.maximum(value, LOWEST))
+
+    def columns(
+        self, network: DenseNetwork, segment: Segment
+    ) -> tuple[tuple[Array, ...], Float[Array, "L N"]]:
+        """Return what the teacher did, and how far its soft values are from the network's."""
+        features, _, value = segment.seen
+        _, now = jax.lax.map(over_lanes(self.policy(network).of, -1), features)
+        return segment.seen, value - now
+
+    def loss(self, network: DenseNetwork, batch: tuple[Array, ...]) -> Float[Array, ""]:
+        """Return the mean divergence from the teacher, and Huber loss of relative errors."""
+        features, target, target_value = batch
+        log_probabilities, value = over_lanes(self.policy(network).of, -1)(features)
+        scale = losses.loss_scale(target_value, self.settings.loss_scale)
+        divergence = jnp.sum(jnp.exp(target) * (target - log_probabilities), axis=0)
+        return jnp.mean(divergence + losses.huber((value - target_value) / scale))

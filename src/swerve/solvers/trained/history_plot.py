@@ -1,4 +1,4 @@
-"""The picture of a training: how far from pi_0, how even the weights, how consistent the value.
+"""Draw a training: distance from pi_0, evenness of the weights, consistency of the soft value.
 
     KL [nats],  ESS / N [%],  residual [nats]   against   time and environment steps
 
@@ -8,6 +8,7 @@ Shapes: C chunks.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,26 +16,32 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from swerve.base.figure_style import FAINT, INK, WIDTH, headed, open_sides, written
-from swerve.solvers.trained.probe import Reading
-from swerve.solvers.trained.run import Progress
-from swerve.solvers.trained.training import TrainedNominal
+from swerve.solvers.base import Nominal
+from swerve.solvers.trained.probe import Progress, Reading
 
-HEIGHT = 5.8  # in
-LEAST = 1e-3  # nats; what is less, or by chance below 0, is drawn there
-LONG = 180.0  # s, from which on time is in minutes
+HEIGHT = 5.8  # in, of the three panels
+LEAST = 1e-3  # nats: smaller values, and estimates below 0, are drawn here on the log scale
+LONG = 180.0  # s: a training at least this long is drawn in minutes
 MEDIAN = {"color": "#0072b2", "ls": "-", "marker": "o", "ms": 3.5, "lw": 1.6}
 WORST = {"color": "#d55e00", "ls": "--", "marker": "s", "ms": 3.5, "lw": 1.4, "mfc": "white"}
-NOTE = (
-    "KL with log Z by the trajectories that were tried: an alarm, too small where modes are missed"
-)
-FORBIDDEN = "; not drawn where all of them enter a known constraint"
+NOTE = "The KL uses log Z of the sampled trajectories: an alarm, too small where they miss modes"
+FORBIDDEN = "; not drawn where all sampled trajectories enter a known constraint"
 
 
-def plot_training(nominal: TrainedNominal, path: str | Path | None = None) -> Figure:
+class WithHistory(Nominal, Protocol):
+    """A trained nominal distribution that keeps the history of its training."""
+
+    @property
+    def history(self) -> np.ndarray:
+        """[C, 6] how training went, a `Progress` each row."""
+        ...
+
+
+def plot_training(nominal: WithHistory, path: str | Path | None = None) -> Figure:
     """Draw KL, ESS and residual against the time and the steps of training.
 
     Args:
-      nominal: what was trained.
+      nominal: the trained nominal distribution.
       path: a file to write, whose suffix tells the format, or None.
 
     Raises:
@@ -66,15 +73,15 @@ def plot_training(nominal: TrainedNominal, path: str | Path | None = None) -> Fi
 
 
 def time_unit(end: float) -> tuple[str, float]:
-    """Return in what to show times up to `end` [s], and how many seconds that is."""
+    """Return the unit in which to show times up to `end` [s], and the seconds in that unit."""
     return ("min", 60.0) if end >= LONG else ("s", 1.0)
 
 
 def log_scale(axes: Axes) -> None:
-    """Make the vertical axis logarithmic, with plain numbers that are near enough to read it."""
+    """Make the vertical axis logarithmic, with plain numbers, at least three of them."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
-    low = min(low, high / 10.0)  # three numbers at least
+    low = min(low, high / 10.0)  # a decade has three numbers at least
     axes.set_ylim(low, high)
     is_short = high < 1000.0 * low
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,)))
@@ -83,13 +90,14 @@ def log_scale(axes: Axes) -> None:
 
 
 def finish(axes: Axes, label: str) -> None:
-    """Label the vertical axis and rule the panel."""
+    """Label the vertical axis and draw horizontal grid lines."""
     axes.set_ylabel(label, fontsize=9)
     open_sides(axes)
     axes.grid(axis="y", color="#dddddd", lw=0.6)
 
 
-def _header(nominal: TrainedNominal, end: float, unit: str) -> list[tuple[str, float, str]]:
+def _header(nominal: WithHistory, end: float, unit: str) -> list[tuple[str, float, str]]:
+    """Return the lines above the picture: solver, length and last reading of the training."""
     last = Progress(*nominal.history[-1])
     num_steps = f"{last.num_steps / 1e6:.3g} million"
     reading = str(Reading(last.kl, last.worst_kl, last.effective_share)).replace("  ", ", ")
@@ -101,7 +109,7 @@ def _header(nominal: TrainedNominal, end: float, unit: str) -> list[tuple[str, f
 
 
 def _mark_steps(axes: Axes, time: np.ndarray, num_steps: np.ndarray) -> None:
-    """Write environment steps above the axes, where time had come to them."""
+    """Write numbers of environment steps above the axes, at the times when they were reached."""
     steps = MaxNLocator(6).tick_values(num_steps[0], num_steps[-1])
     steps = steps[(steps >= num_steps[0]) & (steps <= num_steps[-1])]
     if len(num_steps) == 1:

@@ -1,7 +1,7 @@
-"""Lanes: the episodes, side by side, that solvers which train go through.
+"""Lanes: the episodes, side by side, from which solvers learn that train.
 
-A share of them explores: it starts anywhere at any time, which a simulator gives for free and which
-finds all modes. The others start where tasks start.
+A share of the lanes explores: it starts anywhere at any time. A simulator gives such starts for
+free, and they find all modes. The other lanes start where tasks start.
 
 Shapes: N lanes, n states, g goal dimensions. The batch is the last axis of every array.
 """
@@ -20,7 +20,7 @@ from swerve.problem.tasks import can_begin
 
 
 class Lanes(NamedTuple):
-    """Where the episodes are: states [n, N], steps [N], goals [g, N]."""
+    """States [n, N], steps [N] and goals [g, N] of the episodes."""
 
     state: Array
     step: Array
@@ -28,7 +28,7 @@ class Lanes(NamedTuple):
 
 
 def over_lanes(function: Any, *axes: int | None) -> Any:
-    """Map a function of one lane over the last axis of its arguments; None where all share one."""
+    """Map a function of one lane over the last axis of its arguments; None for a shared one."""
     return jax.vmap(function, in_axes=axes, out_axes=-1)
 
 
@@ -46,17 +46,17 @@ def fresh_lanes(problem: Problem, key: Key[Array, ""], num_lanes: int, explore: 
 
 
 def check_lanes(problem: Problem, num_lanes: int, seed: int) -> None:
-    """Raise ValueError where hardly any episode that the MDP draws can begin."""
+    """Raise ValueError where hardly any episode that the MDP samples can begin."""
     lanes = fresh_lanes(problem, jax.random.key(seed), num_lanes, 0.5)
     if not over_lanes(partial(can_begin, problem), -1, -1)(lanes.state, lanes.goal).all():
         raise ValueError(
-            f"{type(problem.mdp).__name__}.sample_task and sample_state draw no state "
+            f"{type(problem.mdp).__name__}.sample_task and sample_state give no state "
             "outside the known constraints from which an episode can go on: write your own"
         )
 
 
 def _replacements(allowed: Bool[Array, " N"]) -> Int[Array, " N"]:
-    """Return for each lane itself where it is allowed, else the next one that is, in a circle."""
+    """Return for each lane its own number if it is allowed, else that of the next allowed lane."""
     num_lanes = allowed.shape[0]
     lanes = jnp.arange(num_lanes)
     ahead = jnp.where(jnp.concatenate([allowed, allowed]), jnp.arange(2 * num_lanes), 2 * num_lanes)

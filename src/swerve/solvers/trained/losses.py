@@ -1,4 +1,4 @@
-"""Advantages and losses of maximum-entropy policy gradients, as pure functions.
+"""Compute advantages and losses of maximum-entropy policy gradients, as pure functions.
 
 Rewards here are soft: they contain the log-probability of the executed action (the paper, eq. 6),
 in nats,
@@ -6,8 +6,8 @@ in nats,
     r~_t = beta r_t - log pi(a_t | s_t, t)  (- log A for the uniform measure),
 
 so that for pi = pi_0 every return is the same number and every advantage is zero. Nothing is
-normalised or discounted. Where returns differ by orders of magnitude, losses, and nothing else, are
-divided by 1 + |value| / scale, of the state for the policy, of the target for the value.
+normalised or discounted. Since returns may differ by orders of magnitude, losses, and nothing else,
+are divided by 1 + |value| / scale: the value of the state for the policy, the target for the value.
 
 Shapes: L steps of a segment, N lanes, A actions.
 """
@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-HUBER_DELTA = 2.0
-LEAST_ADVANTAGE = -5.0  # of the scale; e^-5 leaves next to nothing of an action
-LARGEST_EXPONENT = 8.0  # of the value scale: values up to about scale * 3000 nats
+HUBER_DELTA = 2.0  # relative error beyond which the Huber loss is linear
+LEAST_ADVANTAGE = -5.0  # times the scale: an action loses all but e^-5 of its probability
+LARGEST_EXPONENT = 8.0  # largest |output| of a value network: values up to scale * 3000 nats
 
 
 def discounted(
@@ -28,7 +28,7 @@ def discounted(
 ) -> Float[Array, "L N"]:
     """Return sum_k trace^k residual_{t+k}, up to the end of the episode or of the segment.
 
-    Of r~ + V(s') - V(s) these are generalised advantage estimates without discount.
+    For residuals r~ + V(s') - V(s) the sums are generalised advantage estimates without discount.
 
     Args:
       residual: nats.
@@ -45,11 +45,11 @@ def discounted(
 
 
 def bounded(advantage: Float[Array, "*N"], scale: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """Return advantages, those far below 0 cut: disasters would drown the rest in the gradient.
+    """Return advantages, limited from below: disasters would dominate the gradient.
 
     Args:
       advantage: nats.
-      scale: by which the losses are divided.
+      scale: number that the losses are divided by.
     """
     return jnp.maximum(advantage, LEAST_ADVANTAGE * scale)
 
@@ -88,7 +88,7 @@ def loss_scale(value: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
 def value_of_output(output: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
     """Return the value [nats] of a network's output: linear near 0, exponential far from it.
 
-    Its slope is `loss_scale` of the value, so errors relative to that are even in the output.
+    The slope is `loss_scale` of the value, so relative errors are even in the output.
     """
     size = jnp.minimum(jnp.abs(output), LARGEST_EXPONENT)
     return jnp.sign(output) * scale * jnp.expm1(size)

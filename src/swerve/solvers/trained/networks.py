@@ -1,4 +1,4 @@
-"""Small dense networks, applied to one input at a time and mapped over batches."""
+"""Define small dense networks, applied to one input at a time and mapped over batches."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class DenseNetwork(eqx.Module):
 
 
 def to_arrays(tree: Any) -> dict[str, np.ndarray]:
-    """Return the arrays in a network, or in anything built of arrays, to be stored."""
+    """Return the arrays of a network, or of any tree of arrays, to be stored."""
     return {f"{k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(tree))}
 
 
 def from_arrays(like: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """Return what `to_arrays` took apart, given something of the same form."""
+    """Rebuild the tree that `to_arrays` took apart, from another tree of the same form."""
     leaves = [jnp.asarray(arrays[str(k)]) for k in range(len(arrays))]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)

@@ -1,6 +1,6 @@
-"""Numbers that are not finite, traced to what an MDP returned.
+"""Trace numbers that are not finite to the method of the MDP which returned them.
 
-Rewards may be -inf, which forbids; NaN and +inf are nobody's reward.
+A reward of -inf is allowed: it forbids a step. NaN and +inf are errors.
 
 Shapes: L steps of a segment, N lanes, M = L N states, A actions, n states, g goal dimensions.
 """
@@ -18,21 +18,21 @@ from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import enters
 from swerve.solvers.trained.lanes import Lanes
 
-DRAWN = "sample_state or sample_task"
-ASKED: tuple[str, ...] = (DRAWN, "features", "dynamics", "reward", "terminal_reward")
+SAMPLED = "sample_state or sample_task"
+ASKED: tuple[str, ...] = (SAMPLED, "features", "dynamics", "reward", "terminal_reward")
 
 
 def check_steps(problem: Problem, visited: Lanes) -> None:
-    """Check what an MDP returns for every action in states that were visited.
+    """Check the numbers that an MDP returns for every action in the visited states.
 
     Args:
-      problem: whose MDP is asked.
+      problem: problem of the MDP.
       visited: states [L, n, N], steps [L, N] and goals [L, g, N], in the order of time.
 
     Raises:
       ValueError: naming the first method, step, state, goal and action without a finite number.
     """
-    # [M, ...], the earliest first: what follows from a NaN is not to blame for it
+    # [M, ...], the earliest first: later numbers may only follow from the first NaN
     lanes = Lanes(*(jnp.moveaxis(x, -1, 1).reshape(-1, *x.shape[1:-1]) for x in visited))
     answers = dict(zip(ASKED, map(np.asarray, _ask(problem, lanes)), strict=True))
     bad = {name: _is_bad(name, x) for name, x in answers.items()}
@@ -40,13 +40,13 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
     found = {name: int(x.argmax()) for name, x in rows.items() if x.any()}
     if not found:
         return
-    name = min(found, key=lambda name: found[name])  # of several in one state the first asked
+    name = min(found, key=lambda name: found[name])  # of several in one state, first of ASKED
     row = found[name]
     value = answers[name][row]
     where = f"at step {int(lanes.step[row])}"
-    if name != DRAWN:
+    if name != SAMPLED:
         where += f" from state {_numbers(lanes.state[row])} with goal {_numbers(lanes.goal[row])}"
-    if name not in (DRAWN, "features"):
+    if name not in (SAMPLED, "features"):
         action = int(np.argwhere(bad[name][row])[0, 0])
         value = value[action]
         where += f" with action {action}, {_numbers(problem.mdp.actions[action])}"
@@ -57,9 +57,9 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
 
 
 def _ask(problem: Problem, lanes: Lanes) -> tuple[Array, ...]:
-    """Return what ASKED return: two [M, ...] for the states and three [M, A, ...] for actions.
+    """Return the numbers of ASKED: two [M, ...] for the states, three [M, A, ...] for actions.
 
-    Rewards are 0 where a known constraint is entered: whatever they are, nobody is paid them.
+    Rewards are 0 where a known constraint is entered: they are never paid, whatever they are.
     """
     mdp = problem.mdp
 
@@ -72,21 +72,21 @@ def _ask(problem: Problem, lanes: Lanes) -> tuple[Array, ...]:
     @jax.jit
     @jax.vmap
     def ask(lane: Lanes) -> tuple[Array, ...]:
-        drawn = jnp.concatenate([lane.state, lane.goal])
+        sampled = jnp.concatenate([lane.state, lane.goal])
         actions = jnp.asarray(mdp.actions)
-        return drawn, mdp.features(*lane), *jax.vmap(act, (None, 0))(lane, actions)
+        return sampled, mdp.features(*lane), *jax.vmap(act, (None, 0))(lane, actions)
 
     return ask(lanes)
 
 
 def _is_bad(name: str, value: np.ndarray) -> np.ndarray:
-    """Return where an answer is none."""
+    """Return where a value is neither finite nor a reward of -inf."""
     forbids = np.isneginf(value) & name.endswith("reward")
     return ~(np.isfinite(value) | forbids)
 
 
 def _numbers(value: Any) -> str:
-    """Return a number, or several in brackets."""
+    """Return the text of a number, or of several in brackets."""
     value = np.asarray(value)
     if not value.ndim:
         return f"{value:.6g}"

@@ -1,8 +1,9 @@
-"""Probes: how far a policy is from pi_0 on a few tasks, while it is trained.
+"""Estimate how far a policy is from pi_0 on a few tasks, while the policy is trained.
 
     KL(pi || pi_0) = log Z_0 - E_pi[l],    ESS = (sum w)^2 / sum w^2,
 
-log Z_0 by the same few trajectories: an alarm, too small where modes are missed.
+where log Z_0 is estimated from the same few trajectories. The KL serves as an alarm: it is too
+small where the policy misses modes.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from swerve.problem.problem import Problem
 from swerve.problem.tasks import checked_tasks, draw_tasks
 from swerve.simulation.trajectory import Policy, rollout
 
-NUM_TASKS = 8
-NUM_TRAJECTORIES = 128  # a task
+NUM_TASKS = 8  # at most
+NUM_TRAJECTORIES = 128  # a task: few, since a probe follows every chunk of training
 
 
 class Reading(NamedTuple):
-    """What a probe says, over the tasks in which any trajectory is allowed.
+    """Result of a probe, over the tasks in which any trajectory is allowed.
 
     Attributes:
       kl: median KL, nats; infinite where every trajectory enters a known constraint.
-      worst_kl: the largest.
+      worst_kl: largest KL, nats.
       effective_share: median ESS, as a share of the trajectories.
     """
 
@@ -46,12 +47,38 @@ class Reading(NamedTuple):
         return f"KL {self.kl:.2f} nats  ESS {100 * self.effective_share:.0f} %"
 
 
+class Progress(NamedTuple):
+    """How training went up to the end of a chunk.
+
+    Attributes:
+      seconds: time of training so far, without compiling and probes.
+      num_steps: environment steps so far.
+      kl: median KL over the tasks tried, nats.
+      worst_kl: largest KL, nats.
+      effective_share: median ESS, as a share of the trajectories.
+      residual: median |beta r + log m - log pi + V(s') - V(s)| in the lanes, nats; 0 for pi_0 and
+        its soft value. For a look-ahead policy this is |(B V)(s) - V(s)|.
+    """
+
+    seconds: float
+    num_steps: float
+    kl: float
+    worst_kl: float
+    effective_share: float
+    residual: float
+
+    def __str__(self) -> str:
+        """Return for example 'KL 0.84 nats  ESS 35 %  residual 0.12 nats'."""
+        reading = Reading(self.kl, self.worst_kl, self.effective_share)
+        return f"{reading}  residual {self.residual:.2g} nats"
+
+
 class Probe:
     """A few tasks on which policies are tried.
 
     Args:
-      problem: what is learned.
-      tasks: as for `sample`, the first of them being taken; drawn if None.
+      problem: problem that is learned.
+      tasks: as for `sample`, of which the first NUM_TASKS are used; sampled from the MDP if None.
 
     Raises:
       ValueError: if a task is not one of the problem.
@@ -63,17 +90,17 @@ class Probe:
         self.tasks = Task(*(np.asarray(x[:NUM_TASKS], np.float32) for x in tasks))
 
     def read(self, policies: Sequence[tuple[Policy, float]]) -> Reading:
-        """Return how far policies are from pi_0 at the beta of each: the worst of each figure."""
+        """Return how far policies are from pi_0, each at its beta: the worst of each number."""
         readings = [self._read(policy, beta) for policy, beta in policies]
         kl, worst, share = zip(*readings, strict=True)
         return Reading(max(kl), max(worst), min(share))
 
     def _read(self, policy: Policy, beta: float) -> Reading:
-        """Roll out a policy; always with the same numbers."""
+        """Roll out a policy, always with the same random numbers, and weigh its trajectories."""
         start, goal = (jnp.repeat(jnp.asarray(x.T), NUM_TRAJECTORIES, axis=1) for x in self.tasks)
-        drawn = rollout(self.problem, policy, start, goal, jax.random.key(0), start.shape[1])
+        sampled = rollout(self.problem, policy, start, goal, jax.random.key(0), start.shape[1])
         record = dataclasses.replace(self.problem.record, beta=beta)
-        log_weight = log_weights(record, drawn).reshape(-1, NUM_TRAJECTORIES)
+        log_weight = log_weights(record, sampled).reshape(-1, NUM_TRAJECTORIES)
         rows = log_weight[np.isfinite(log_weight).any(axis=1)]
         if not len(rows):
             return Reading(np.inf, np.inf, 0.0)

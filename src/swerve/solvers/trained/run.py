@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,87 +28,19 @@ from swerve.base.space import Task
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import Policy
 from swerve.solvers.trained.checkpoints import Checkpoint
-from swerve.solvers.trained.lanes import Lanes, check_lanes
+from swerve.solvers.trained.lanes import check_lanes
 from swerve.solvers.trained.networks import from_arrays, to_arrays
 from swerve.solvers.trained.nonfinite import check_steps
-from swerve.solvers.trained.probe import Probe, Reading
-
-if TYPE_CHECKING:
-    from swerve.solvers.trained.training import TrainingSolver
+from swerve.solvers.trained.probe import Probe, Progress
+from swerve.solvers.trained.settings import TrainingSettings
+from swerve.solvers.trained.trainers import SegmentInfo, Trainer
 
 FAR = 1.0  # nats: KL of a policy that is hardly pi_0
 RISEN = 3.0  # times the least KL, FAR on top: beyond, training has diverged
 NUM_RISEN = 5  # chunks in a row; one at the end
 NEARER = 0.9  # times the first KL: a run that ends above it has come no nearer to pi_0
 LAST_PART = 0.3  # of the schedule: what a run that has settled goes on with
-
-
-class Progress(NamedTuple):
-    """How training went up to the end of a chunk.
-
-    Attributes:
-      seconds: of training so far, without compiling and probes.
-      num_steps: environment steps so far.
-      kl: median KL over the tasks tried, nats.
-      worst_kl: the largest.
-      effective_share: median ESS, as a share of the trajectories.
-      residual: median |beta r + log m - log pi + V(s') - V(s)| in the lanes, nats; 0 for pi_0 and
-        its soft value. Of a look-ahead policy it is |(B V)(s) - V(s)|.
-    """
-
-    seconds: float
-    num_steps: float
-    kl: float
-    worst_kl: float
-    effective_share: float
-    residual: float
-
-    def __str__(self) -> str:
-        """Return for example 'KL 0.84 nats  ESS 35 %  residual 0.12 nats'."""
-        reading = Reading(self.kl, self.worst_kl, self.effective_share)
-        return f"{reading}  residual {self.residual:.2g} nats"
-
-
-class Info(Protocol):
-    """How iterations went."""
-
-    @property
-    def residual(self) -> Any:
-        """[I] the residual of each, see `Progress`."""
-        ...
-
-
-class Trainer(Protocol):
-    """How a solver trains for a problem; its states are trees of arrays."""
-
-    @property
-    def imitated(self) -> str:
-        """Fingerprint of what it imitates; empty where it imitates nothing."""
-        ...
-
-    def initial_state(self) -> Any:
-        """Return what training starts from."""
-        ...
-
-    def run(self, state: Any, num_iterations: int) -> tuple[Any, Info]:
-        """Run iterations of training."""
-        ...
-
-    def at_iteration(self, state: Any, iteration: int) -> Any:
-        """Return a state as far along the schedule of the learning rate as an iteration is."""
-        ...
-
-    def policy_of(self, state: Any) -> Policy:
-        """Return the policy that was learned; its leaves are the weights of one network."""
-        ...
-
-    def probed(self, state: Any) -> Sequence[tuple[Policy, float]]:
-        """Return the policies to be tried, each with the beta that it is for."""
-        ...
-
-    def visited(self, state: Any) -> Lanes:
-        """Return where the lanes go in the iteration that begins in a state, [L, ..., N]."""
-        ...
+CALLER = 6  # frames from a warning here to the call of `Solver.learn`, which the warning names
 
 
 class Run:
@@ -129,7 +61,7 @@ class Run:
 
     def __init__(
         self,
-        solver: TrainingSolver,
+        solver: TrainingSettings,
         trainer: Trainer,
         problem: Problem,
         tasks: Task | None,
@@ -220,7 +152,7 @@ class Run:
         } | {"history": np.array(self.history), **self._probe.tasks._asdict()}
 
     @cached_property
-    def _train(self) -> Callable[[Any], tuple[Any, Info]]:
+    def _train(self) -> Callable[[Any], tuple[Any, SegmentInfo]]:
         """What trains for a chunk, compiled before the clock runs."""
         num_iterations = self._solver.chunk_iterations
         train = jax.jit(lambda state: self._trainer.run(state, num_iterations))
@@ -248,7 +180,7 @@ class Run:
             f"network of the least, {min(kl):.2g} nats after {1 + int(np.argmin(kl))} chunks, is "
             f"kept. Lower learning_rate from {self._solver.learning_rate}",
             RuntimeWarning,
-            stacklevel=5,
+            stacklevel=CALLER,
         )
 
     def _warn_of_standstill(self) -> None:
@@ -261,7 +193,7 @@ class Run:
                 f"{self._solver.num_steps:g}, or change learning_rate from "
                 f"{self._solver.learning_rate}",
                 RuntimeWarning,
-                stacklevel=5,
+                stacklevel=CALLER,
             )
 
     def _diverged(self) -> None:
@@ -274,7 +206,7 @@ class Run:
         )
         if not self.history:
             raise ValueError(text)
-        warnings.warn(f"{text}. The network before that is kept", RuntimeWarning, stacklevel=5)
+        warnings.warn(f"{text}. The network before that is kept", RuntimeWarning, stacklevel=CALLER)
 
 
 def _is_finite(state: Any) -> bool:

@@ -1,7 +1,7 @@
-"""Segments of episodes from which networks learn: rollouts in all lanes, and minibatches.
+"""Roll out segments of episodes in all lanes, and cut them into minibatches for networks.
 
-A lane goes on from where it was until its episode ends. Where that is asked for, lanes that explore
-start anew, anywhere at any time, with every segment.
+A lane continues its episode from segment to segment until the episode ends. With `restart`, lanes
+that explore start anew, anywhere at any time, with every segment.
 
 Shapes: N lanes, L steps of a segment, G minibatches, A actions. The batch is the last axis of every
 array.
@@ -21,7 +21,7 @@ from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import sample_action, take_step
 from swerve.solvers.trained.lanes import Lanes, fresh_lanes, over_lanes
 
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, modulo 1, spread evenly over any part of them
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # multiples of GOLDEN modulo 1 spread evenly, however many
 
 
 class Sizes(Protocol):
@@ -44,15 +44,15 @@ class Sizes(Protocol):
 
 
 class Segment(NamedTuple):
-    """What a rollout leaves, all [L, ..., N].
+    """The steps of a rollout, all [L, ..., N].
 
     Attributes:
-      seen: what `look` wants to keep of each step.
-      action: index of the one executed.
-      log_probability: of it, nats.
+      seen: numbers that `look` keeps of each step.
+      action: index of the executed action.
+      log_probability: log-probability of the executed action, nats.
       reward: r(s, a, s') and r_T; -inf on entering a known constraint.
       ended: whether the episode ended with this step.
-      lanes: where they were.
+      lanes: where the lanes were before the step.
     """
 
     seen: Any
@@ -72,19 +72,19 @@ def roll_segment(
     *,
     restart: bool,
 ) -> tuple[Lanes, Segment]:
-    """Roll out one segment in all lanes; one whose episode ends goes on with a fresh one.
+    """Roll out one segment in all lanes; a lane whose episode ends goes on with a new episode.
 
     Args:
       problem: the MDP and known constraints.
-      sizes: how many lanes, of which how many explore, and how many steps.
-      look: gives for one lane log pi of every action, and what to keep. Its second argument is a
-        number from 0 to 1 that stays with the lane; those of all lanes are spread evenly.
-      lanes: where they are.
+      sizes: number of lanes, share of the lanes that explore, and number of steps.
+      look: gives for one lane log pi of every action, and numbers to keep. Its second argument is a
+        number from 0 to 1 that stays with the lane; the numbers of all lanes are spread evenly.
+      lanes: where the lanes are.
       key: source of randomness.
       restart: whether lanes that explore start anew.
 
     Returns:
-      Where the lanes are then, and the segment.
+      Where the lanes are after the segment, and the segment.
     """
     key_fresh, key_actions = jax.random.split(key)
     num_lanes = sizes.num_lanes

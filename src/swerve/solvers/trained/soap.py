@@ -7,8 +7,8 @@ Q_R; Adam works on Q_L^T G Q_R, and its step is turned back,
     W <- W - rate Q_L Adam(Q_L^T G Q_R) Q_R^T.
 
 The bases follow by one step of orthogonal iteration every few updates. Vectors get plain Adam.
-Fitting a value to a few hundredths of a nat is badly conditioned, and this is what it takes: on the
-pendulum the KL divergence after as many steps is several times less than with Adam.
+Fitting a value to a few hundredths of a nat is badly conditioned, which SOAP copes with: on the
+pendulum the KL divergence after equally many steps is several times less than with Adam.
 
 Shapes: p x q weights.
 """
@@ -24,17 +24,17 @@ from jaxtyping import Array, Int
 
 DECAY = 0.95  # b, of all running means
 REFRESHED = 10  # updates between two steps of the bases
-EPSILON = 1e-8
+EPSILON = 1e-8  # added to the root of the mean square, against division by 0
 
 
 class Moments(NamedTuple):
     """Running means for one array of weights.
 
     Attributes:
-      mean: of the gradient.
-      square: of its squares, in the eigenbasis for a matrix.
-      covariance: [p, p] and [q, q], of a matrix; empty for others.
-      basis: their eigenvectors, in columns, those of large eigenvalues first.
+      mean: mean of the gradient.
+      square: mean of its squares, for a matrix in the eigenbasis.
+      covariance: [p, p] and [q, q] means of G G^T and G^T G of a matrix; empty for a vector.
+      basis: eigenvectors of these, in columns, those of large eigenvalues first.
     """
 
     mean: Array
@@ -44,7 +44,7 @@ class Moments(NamedTuple):
 
 
 class SOAPState(NamedTuple):
-    """Moments of each array of weights, and how many updates there were."""
+    """Moments of each array of weights, and the number of updates so far."""
 
     moments: Any
     num_updates: Int[Array, ""]
@@ -56,7 +56,7 @@ def soap(schedule: optax.Schedule) -> optax.GradientTransformation:
 
 
 def scale_by_soap() -> optax.GradientTransformation:
-    """Return what makes gradients into steps, Q_L Adam(Q_L^T G Q_R) Q_R^T."""
+    """Return the transformation of gradients to steps, Q_L Adam(Q_L^T G Q_R) Q_R^T."""
 
     def init(params: Any) -> SOAPState:
         return SOAPState(jax.tree.map(_moments, params), jnp.int32(0))
@@ -87,7 +87,7 @@ def _moments(weights: Array) -> Moments:
 
 
 def _step(gradient: Array, moments: Moments, num_updates: Int[Array, ""]) -> tuple[Array, Moments]:
-    """Return the step for one array, to be scaled by the rate, and its moments after it."""
+    """Return the step for one array, before scaling by the rate, and the moments after the step."""
     mean = _follow(moments.mean, gradient)
     square = _follow(moments.square, _turned(gradient, moments.basis) ** 2)
     unbiased = 1.0 - DECAY**num_updates
@@ -108,7 +108,7 @@ def _follow(average: Array, value: Array) -> Array:
 
 
 def _turned(matrix: Array, basis: tuple[Array, ...]) -> Array:
-    """Return a matrix in a basis, Q_L^T M Q_R; an array without a basis as it is."""
+    """Return a matrix in a basis, Q_L^T M Q_R; an array without a basis unchanged."""
     return basis[0].T @ matrix @ basis[1] if basis else matrix
 
 

@@ -1,10 +1,10 @@
-"""What solvers share that learn from segments: the run of iterations, and its random numbers.
+"""Train from segments: the iterations of a run, their random numbers, minibatches and updates.
 
-The random numbers of an iteration depend on the seed and its number alone, so that a run resumed
-from a checkpoint is the same run.
+The random numbers of an iteration depend on the seed and the number of the iteration alone, so a
+run that goes on from a checkpoint is the same run.
 
-Shapes: N lanes, L steps of a segment, I iterations, A actions. The batch is the last axis of every
-array.
+Shapes: N lanes, L steps of a segment, I iterations, G minibatches, A actions. The batch is the last
+axis of every array.
 """
 
 from __future__ import annotations
@@ -12,34 +12,37 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import Policy
-from swerve.solvers.trained.lanes import Lanes
-from swerve.solvers.trained.segments import Segment, roll_segment
-from swerve.solvers.trained.training import TrainingSolver
+from swerve.solvers.trained.lanes import Lanes, fresh_lanes, over_lanes
+from swerve.solvers.trained.networks import DenseNetwork
+from swerve.solvers.trained.segments import Segment, minibatches, roll_segment
+from swerve.solvers.trained.settings import TrainingSettings
+from swerve.solvers.trained.soap import soap
 
-RATE_END = 0.01  # of the first learning rate, reached at the end
+RATE_END = 0.01  # share of the first learning rate that is left at the end of a run
 
 
 class SegmentInfo(NamedTuple):
-    """How an iteration went.
+    """How an iteration went; of several iterations, with a leading [I].
 
     Attributes:
-      residual: median of |residual|, see `training_run.Progress`, nats.
+      residual: median of |residual|, see `probe.Progress`, nats.
     """
 
     residual: Float[Array, ""]
 
 
-class SegmentTrainer(abc.ABC):
-    """One run: its problem, settings and seed. States have `lanes` and an `iteration`.
+class Trainer(abc.ABC):
+    """One run of a solver for a problem; its states have `lanes` and an `iteration`.
 
     Attributes:
       restarts: whether lanes that explore start anew with every segment.
@@ -47,34 +50,34 @@ class SegmentTrainer(abc.ABC):
 
     restarts: bool
 
-    def __init__(self, problem: Problem, settings: TrainingSolver, seed: int) -> None:
+    def __init__(self, problem: Problem, settings: TrainingSettings, seed: int) -> None:
         self.problem, self.settings, self.seed = problem, settings, seed
 
     @abc.abstractmethod
     def policy_of(self, state: Any) -> Policy:
-        """Return the policy that was learned."""
+        """Return the policy that was learned; its leaves are the weights of one network."""
 
     @abc.abstractmethod
     def initial_state(self) -> Any:
-        """Return what training starts from."""
+        """Return the state that training starts from, a tree of arrays."""
 
     @abc.abstractmethod
     def iterate(self, state: Any, _: Any) -> tuple[Any, SegmentInfo]:
-        """Roll out one segment in all lanes and learn from it."""
+        """Roll out one segment in all lanes and learn from the segment."""
 
     @abc.abstractmethod
     def look(self, state: Any, lane: Lanes, place: Array) -> tuple[Array, Any]:
         """Return log pi [A] of the policy that is rolled out, and what to keep of a step.
 
         Args:
-          state: of the iteration.
+          state: state of training in this iteration.
           lane: where the lane is.
           place: a number from 0 to 1 that stays with the lane.
         """
 
     @property
     def imitated(self) -> str:
-        """Fingerprint of what it imitates: of nothing, unless overridden."""
+        """Fingerprint of the policy that is imitated; empty, as by default, for none."""
         return ""
 
     def probed(self, state: Any) -> Sequence[tuple[Policy, float]]:
@@ -87,14 +90,14 @@ class SegmentTrainer(abc.ABC):
         return self.settings.num_epochs * self.settings.num_minibatches
 
     def at_iteration(self, state: Any, iteration: int) -> Any:
-        """Return a state as far along the schedule of the learning rate as an iteration is."""
+        """Return a state moved along the schedule of the learning rate to an iteration."""
         count = jnp.int32(iteration * self.updates_per_iteration)
         state = optax.tree_utils.tree_set(state, count=count)  # of the schedule, and of Adam
         return state._replace(iteration=jnp.int32(iteration))
 
     @partial(jax.jit, static_argnums=(0, 2))
     def run(self, state: Any, num_iterations: int) -> tuple[Any, SegmentInfo]:
-        """Run iterations of training in one scan; the information [I] is that of each."""
+        """Run iterations of training in one scan; return the last state and how each went [I]."""
         return jax.lax.scan(self.iterate, state, None, length=num_iterations)
 
     @partial(jax.jit, static_argnums=0)
@@ -109,3 +112,82 @@ class SegmentTrainer(abc.ABC):
         return roll_segment(
             self.problem, self.settings, look, state.lanes, key, restart=self.restarts
         )
+
+
+class NetworkState(NamedTuple):
+    """Everything that training carries; with the settings and the seed it determines the rest."""
+
+    network: DenseNetwork
+    optimiser: Any
+    lanes: Lanes
+    iteration: Int[Array, ""]
+
+
+class NetworkTrainer(Trainer):
+    """One run in which a single network is trained by regression on segments."""
+
+    restarts = True
+
+    @abc.abstractmethod
+    def policy(self, network: DenseNetwork) -> Policy:
+        """Return the policy of a network."""
+
+    @abc.abstractmethod
+    def sizes(self, num_features: int) -> tuple[int, int]:
+        """Return how many inputs and outputs the network has."""
+
+    @abc.abstractmethod
+    def columns(
+        self, network: DenseNetwork, segment: Segment
+    ) -> tuple[tuple[Array, ...], Float[Array, "L N"]]:
+        """Return what to learn from a segment, all [L, ..., N], and its residuals [nats]."""
+
+    @abc.abstractmethod
+    def loss(self, network: DenseNetwork, batch: tuple[Array, ...]) -> Float[Array, ""]:
+        """Return the mean loss over a minibatch of the columns."""
+
+    def policy_of(self, state: NetworkState) -> Policy:
+        """Return the policy that was learned."""
+        return self.policy(state.network)
+
+    def initial_state(self) -> NetworkState:
+        """Return the state that training starts from.
+
+        All lanes start anywhere at any time, so that their episodes do not end together.
+        """
+        settings = self.settings
+        key_network, key_lanes = jax.random.split(jax.random.key(self.seed))
+        lanes = fresh_lanes(self.problem, key_lanes, settings.num_lanes, 1.0)
+        features = over_lanes(self.problem.mdp.features, -1, -1, -1)(*lanes)
+        num_inputs, num_outputs = self.sizes(features.shape[0])
+        sizes = (num_inputs, settings.width, settings.width, num_outputs)
+        network = DenseNetwork(sizes, 0.1, key=key_network)
+        optimiser = self.optimiser.init(cast(Any, network))
+        return NetworkState(network, optimiser, lanes, jnp.int32(0))
+
+    @property
+    def optimiser(self) -> optax.GradientTransformation:
+        """SOAP with a falling rate."""
+        settings = self.settings
+        num_updates = settings.num_iterations * self.updates_per_iteration
+        return soap(optax.cosine_decay_schedule(settings.learning_rate, num_updates, RATE_END))
+
+    def iterate(self, state: NetworkState, _: Any) -> tuple[NetworkState, SegmentInfo]:
+        """Roll out one segment in all lanes and learn from the segment."""
+        lanes, segment = self.rollout(state)
+        columns, residual = self.columns(state.network, segment)
+        batches = tuple(minibatches(x, self.settings.num_minibatches) for x in columns)
+
+        def epoch(carry: tuple, _: Any) -> tuple[tuple, None]:
+            return jax.lax.scan(self.update, carry, batches)
+
+        carry = (state.network, state.optimiser)
+        carry, _ = jax.lax.scan(epoch, carry, None, length=self.settings.num_epochs)
+        info = SegmentInfo(jnp.median(jnp.abs(residual)))
+        return NetworkState(*carry, lanes, state.iteration + 1), info
+
+    def update(self, carry: tuple, batch: tuple[Array, ...]) -> tuple[tuple, None]:
+        """Take one optimiser step on one minibatch."""
+        network, state = carry
+        updates, state = self.optimiser.update(jax.grad(self.loss)(network, batch), state)
+        return (eqx.apply_updates(network, updates), state), None
