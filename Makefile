@@ -30,8 +30,9 @@ LOCK_ARGS ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq
 LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
-# Tests that `make test-fast` leaves out, beside those marked slow: they learn, sample or start processes.
-SLOW_TESTS := benchmarks cli demonstrators reproduce sampling solvers whole work test_docs.py
+# Folders of tests that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
+# tests learn or sample. What is left takes about 160 s of one core.
+SLOW_TESTS := benchmarks cli demonstrators fitting monitoring reproduce sampling solvers whole work
 
 # Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.
 export NO_MKDOCS_2_WARNING := 1
