@@ -84,7 +84,7 @@ class Inference(Ranking):
         """Return the ranking, the posterior and diagnostics of each task used, as JSON data."""
         from swerve.presentation import text_tables
 
-        return text_tables.to_json(self)
+        return text_tables.to_json(self, self.warnings)
 
     def plot(self, path: str | Path | None = None) -> Any:
         """Draw the hypotheses shaded by score, nominal trajectories and demonstrations.

@@ -14,7 +14,7 @@ import numpy as np
 from swerve.inference.likelihood import THRESHOLD
 from swerve.inference.ranking import Ranking
 from swerve.presentation import sentences
-from swerve.trust import doubts, verdicts
+from swerve.trust import verdicts
 
 if TYPE_CHECKING:
     from swerve.inference.greedy import Pick
@@ -40,10 +40,14 @@ def table(inference: Ranking, num_rows: int) -> str:
     return "\n".join(lines)
 
 
-def to_json(inference: Ranking) -> dict[str, Any]:
+def to_json(inference: Ranking, warnings: Sequence[str]) -> dict[str, Any]:
     """Return the ranking, best first, the posterior and diagnostics of each task used.
 
     Values of the posterior are null where every answer that the prior allows is ruled out.
+
+    Args:
+      inference: what to list.
+      warnings: of the inference.
     """
     evidence = inference.evidence
     posterior = None if inference.is_ruled_out else inference.posterior
@@ -71,7 +75,7 @@ def to_json(inference: Ranking) -> dict[str, Any]:
             for index, rank in zip(inference.ranking, inference.rank, strict=True)
         ],
         "struck_out": _struck_out(inference),
-        "warnings": list(doubts.warnings(inference)),
+        "warnings": list(warnings),
         "diagnostics": [_task_diagnostics(inference, int(k)) for k in dict.fromkeys(tasks)],
     }
 
