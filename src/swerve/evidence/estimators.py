@@ -89,6 +89,7 @@ def parts(
 
 LOW_ESS_SHARE = 0.02  # of N: an effective sample size below this share is not trusted
 LOW_ESS = 100.0  # trajectories: nor is one below this number, whatever N
+HOTTEST = 0.5  # of the beta sampled for: below it weights of a Gaussian have infinite variance
 
 
 class NothingLeftError(ValueError):

@@ -25,13 +25,12 @@ import numpy as np
 
 from swerve.base.arguments import instance
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.evidence.estimators import least_effective
+from swerve.evidence.estimators import HOTTEST, least_effective
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import islands
 from swerve.fitting.rewards import total_rewards
 from swerve.inference.ranking import Ranking
 from swerve.problem.problem import Problem
-from swerve.trust.verdicts import HOTTEST
 
 ROUNDING = 1e-5  # relative: total rewards, sums in float32, that are closer count as the same
 MILD = 0.5  # nats: standard deviation of log-weights so small that few samples cannot dominate
@@ -254,7 +253,7 @@ def _of_problem(evidence: Evidence, problem: Problem) -> Evidence:
 def _trusted(likelihood: Likelihood, evidence: Evidence) -> tuple[float, float]:
     """Return the betas around the sampling beta between which enough samples of each task count.
 
-    The lower beta is at least half of the sampling beta (see `trust.is_too_hot`), unless a still
+    The lower beta is at least half of the sampling beta (see `HOTTEST`), unless a still
     lower beta needs only mild weights.
 
     Raises:

@@ -23,7 +23,7 @@ import numpy as np
 
 from swerve.base.phrases import NUM_NAMES, some_names
 from swerve.base.solver_kinds import kind_stored, solver_names
-from swerve.evidence.estimators import LOW_ESS
+from swerve.evidence.estimators import HOTTEST, LOW_ESS
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import RESAMPLED, TEMPERED
 from swerve.inference.ranking import TIE_ERRORS, Ranking
@@ -35,7 +35,6 @@ HIGH_KL = {  # nats, KL between policy and pi_0 by method: above it errors may b
     "plain": 0.1,
 }
 HIGH_SPREAD = 1.0  # nats, standard deviation of log Z_0 over islands: above it they disagree
-HOTTEST = 0.5  # of the beta sampled for: below it weights of a Gaussian have infinite variance
 NUM_ERRORS = 3.0  # standard errors by which log Z_0 of solver and samples may differ
 GOOD_ESS_SHARE = 0.3  # of N: above it the policy is good, and there are too few samples
 NUM_SETTLED = 3  # first hypotheses whose order has to be settled
