@@ -41,11 +41,11 @@ def roll(policy: LookAhead, task: Task, num_islands: int, num_particles: int, se
 @pytest.mark.parametrize("weight", [0.0, -0.2, 0.1])
 def test_every_island_estimates_z_without_bias(name: str, weight: float) -> None:
     problem, task = OF_MANY_LENGTHS[name]
-    drawn = roll(Guess(problem, weight), task, 800, 16)
-    share_ended = (np.asarray(drawn.trajectory.length) < problem.mdp.num_steps).mean()
+    found = roll(Guess(problem, weight), task, 800, 16)
+    share_ended = (np.asarray(found.trajectory.length) < problem.mdp.num_steps).mean()
     assert (share_ended > 0.5) == (name == OFTEN)
-    assert len(np.unique(np.asarray(drawn.root)[:16])) < 16
-    islands = np.asarray(drawn.log_weight).reshape(800, 16)
+    assert len(np.unique(np.asarray(found.root)[:16])) < 16
+    islands = np.asarray(found.log_weight).reshape(800, 16)
     ratio = np.exp(islands.astype(float) - exact(name).log_partition).mean(axis=1)
     error = ratio.std() / math.sqrt(len(ratio))
     assert 0.001 < error < 0.1
@@ -57,10 +57,10 @@ def test_paths_are_followed_back(name: str) -> None:
     """What is kept of each survivor is what its actions do: states, reward, probability, length."""
     problem, task = PROBLEMS[name]
     policy = Guess(problem, -5.0)
-    drawn = roll(policy, task, 2, 60)
-    path, mdp = drawn.trajectory, problem.mdp
+    found = roll(policy, task, 2, 60)
+    path, mdp = found.trajectory, problem.mdp
     goal = jnp.asarray(task.goal, jnp.float32)
-    assert len(np.unique(np.asarray(drawn.root)[:60])) < 50
+    assert len(np.unique(np.asarray(found.root)[:60])) < 50
     for k in range(0, 120, 9):
         state, reward, log_probability = jnp.asarray(task.start, jnp.float32), 0.0, 0.0
         for step in range(int(path.length[k])):
@@ -80,10 +80,10 @@ def test_paths_are_followed_back(name: str) -> None:
 def test_without_resampling_weights_are_those_of_importance_sampling() -> None:
     problem, task = PROBLEMS["ends-early"]
     [policy] = learn(problem, "grid?num_points=121").policies(np.array(task.goal)[None])  # pyright: ignore
-    drawn = roll(policy, task, 4, 100)
-    np.testing.assert_array_equal(drawn.root, np.tile(np.arange(100), 4))
-    expected = log_weights(problem.record, drawn.trajectory)
-    np.testing.assert_allclose(drawn.log_weight, expected, atol=1e-4)
+    found = roll(policy, task, 4, 100)
+    np.testing.assert_array_equal(found.root, np.tile(np.arange(100), 4))
+    expected = log_weights(problem.record, found.trajectory)
+    np.testing.assert_allclose(found.log_weight, expected, atol=1e-4)
 
 
 def test_systematic_resampling_keeps_shares_to_one_particle() -> None:

@@ -83,7 +83,7 @@ def test_verdict_says_what_is_left() -> None:
     result = infer(evidence)
     assert "effective sample size" in result.verdict(0)
     [said] = [text for text in result.warnings if "effective sample size" in text]
-    assert said.endswith("draw more trajectories, or learn at a beta nearer to 500")
+    assert said.endswith("sample more trajectories, or learn at a beta nearer to 500")
 
 
 def test_what_cannot_be_done_is_said() -> None:

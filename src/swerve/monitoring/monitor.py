@@ -1,4 +1,4 @@
-"""Watch a demonstration; `Monitor._prefix_log_likelihood` is the likelihood of a prefix, L_t(c).
+"""Watch a demonstration: `Monitor._prefix_log_likelihood` computes the likelihood of a prefix.
 
 A demonstration that has avoided c up to its state s_t has, against no constraint, the
 log-likelihood ratio
@@ -35,9 +35,8 @@ from swerve.monitoring.flags import LATE, REPEATED, StateChecks
 from swerve.monitoring.foresight import Foreseer
 from swerve.problem.record import ProblemRecord
 
-# nats between log P(avoid c) from the start by the evidence and by the foresight: a network or a
-# thousand rollouts cannot tell a probability such as exp(-20), so beyond 1 nat the foresight's own
-# value is subtracted
+# nats: largest difference between log P_0(avoid c | s_0, goal) by evidence and by foresight, which
+# cannot tell a probability such as exp(-20). Beyond it the foresight's own value is subtracted.
 AGREEMENT = 1.0
 
 

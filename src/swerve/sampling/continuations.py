@@ -1,11 +1,13 @@
-"""Sample states from anywhere, each labelled with the hypotheses that the rest of it enters.
+"""Sample states from anywhere, labelled with the hypotheses that a nominal trajectory then enters.
 
-The nominal policy goes on from states all over the state space, at all times. Most of these states
-lie near nominal trajectories but not on them: that is where demonstrators go who avoid something.
-Several states of each trajectory are labelled, each with what the trajectory enters from this state
-on and with the weight
+The nominal policy goes on from states all over the state space, at all times. Half of these states
+lie near nominal trajectories but not on them: demonstrators who avoid something go there. Several
+states of each trajectory are labelled, each with the hypotheses that the trajectory enters from
+this state on, and with the weight
 
-    w = exp(min(l, MAX_LOG_WEIGHT))    (l: see `simulation.continuation`; w = 1 where it is pi_0).
+    w = exp(min(l, MAX_LOG_WEIGHT)),
+
+where l is the log-weight of the rest of the trajectory (see `simulation.continuation`).
 
 Shapes: R labelled states, N trajectories at once, M kept trajectories, K tasks, G goals,
 H hypotheses, B = ceil(H / 8) bytes, T steps, n state dimensions, g goal dimensions.
@@ -28,7 +30,7 @@ from swerve.simulation.trajectory import Policy, enters
 from swerve.solvers.base import PolicyNominal
 
 AT_ONCE = 256  # trajectories that go on from the same step, in one call
-NUM_SUFFIXES = 8  # states of each trajectory that are labelled with the rest of it
+NUM_SUFFIXES = 8  # states of each trajectory that are labelled, its first state among them
 # extents of the state space, from least to most: distance of starts from nominal trajectories
 NEARBY = (0.005, 0.15)
 # cumulative shares of the starts: near nominal trajectories, then anywhere, the rest at the starts

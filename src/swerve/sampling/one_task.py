@@ -31,7 +31,13 @@ class SamplingJob(NamedTuple):
     """One task to be sampled, and how.
 
     Attributes:
+      problem: the problem that the policy was learned for.
       record: of the problem whose pi_0 is wanted; its beta may differ from that of `problem`.
+      policy: of the task's goal.
+      task: start [n] and goal [g].
+      num_trajectories: N.
+      method: one of the names in `evidence.samples`.
+      seed: of the sampling.
     """
 
     problem: Problem

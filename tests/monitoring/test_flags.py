@@ -1,0 +1,51 @@
+"""What a monitor flags as odd."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from support.monitors import START, make_monitor
+from support.synthetic import TASKS, make_evidence, make_record
+
+from swerve import Box
+from swerve.base.space import TWO_PI
+from swerve.evidence.evidence import Evidence
+
+
+def slow_evidence(**changes) -> Evidence:
+    """Evidence whose nominal trajectories change by at most 2 a second."""
+    evidence = make_evidence(**changes)
+    fastest = np.full(TASKS.start.shape, 2.0)
+    return dataclasses.replace(evidence, summary=evidence.summary._replace(fastest=fastest))
+
+
+def test_the_end_before_the_shortest_nominal_trajectory_is_flagged() -> None:
+    evidence = make_evidence()
+    shortest = evidence.summary._replace(shortest=np.full(3, 0.4))
+    monitor = make_monitor(dataclasses.replace(evidence, summary=shortest))
+    monitor.observe(START, 0.0)
+    monitor.observe(START, 0.35)
+    assert monitor.finish().flags == ("cut short",)
+    monitor.observe(START, 0.37)
+    assert monitor.finish().flags == ()
+
+
+def test_odd_states_are_flagged_and_the_monitor_goes_on() -> None:
+    evidence = slow_evidence()
+    monitor = make_monitor(evidence)
+    theta, x = START
+    assert monitor.observe([theta, x], 0.0).flags == ()
+    assert monitor.observe([theta, x + 0.3], 0.1).flags == ()
+    assert monitor.observe([theta, x + 0.4], 0.1).flags == ("another state at the same time",)
+    assert monitor.observe([theta, x + 0.5], 0.3).flags == ("gap",)
+    assert monitor.observe([theta, x + 6.0], 0.4).flags == ("unreachable",)
+    assert monitor.observe([theta, 10.1], 0.5).flags == ("unreachable", "outside the bounds")
+    assert monitor.observe([theta + TWO_PI, 10.0], 0.6).flags == ("past the horizon",)
+
+
+def test_a_known_constraint_is_flagged() -> None:
+    evidence = make_evidence(make_record(known=(Box(x=(2.0, 3.0)),)))
+    monitor = make_monitor(evidence)
+    assert monitor.observe(START).flags == ()
+    assert "in a known constraint" in monitor.observe([START[0], 2.5]).flags
