@@ -1,4 +1,4 @@
-"""How right the answers are: against exact violation probabilities and real demonstrations.
+"""Measure accuracy: against exact violation probabilities, and on real demonstrations.
 
     python benchmarks/accuracy.py --data DIR [--solver grid] [--method smc] [--json] [--figure FILE]
                                   [--work DIR]
@@ -12,12 +12,11 @@ states alone. For every such file three tables are printed:
    importance weights, or for "smc"; ESS as a share of N; KL(pi || pi_0) [nats] with
    log Z_0 from the grid solver at its default resolution, whatever solver is measured (for "smc"
    KL(pi_0 || pi) as the samples estimate it); the largest error of log Z_0 [nats]; wall time to
-   learn and sample [s], or "stored" (null in JSON) where --work held results of the solver, so that
-   it says nothing;
-2. the ranking by all demonstrations, in nats, beside the one from the exact probabilities;
+   learn and sample [s], or "stored" (null in JSON) where --work already held results of the solver;
+2. the ranking by all demonstrations, in nats, and the ranking from the exact probabilities;
 3. the rank of the true cell (--truth) against the number of demonstrations, averaged over random
-   subsets, ties counted half, and how often it is first. Whether a cell is entered by no trajectory
-   in 10,000 or by one is chance, and decides ranks among cells that are hardly ever entered: the
+   subsets, ties counted half, and how often the true cell is first. Among cells that are hardly
+   ever entered, chance decides the ranks: no trajectory in 10,000 enters, or one does. So the
    curves are given for the exact files as they are, and for files and samples with probabilities
    below 5e-4 counted as 0.
 """
@@ -38,13 +37,16 @@ from rich.console import Console
 from rich.table import Table
 
 from swerve import Evidence, Grid, Task, infer, learn, read_demonstrations, sample
+from swerve.base.specification import Specification
 from swerve.evidence.estimators import kl_divergence
 from swerve.evidence.samples import METHODS, REWEIGHED, summarise
 from swerve.inference.ranking import SCORES
-from swerve.problem.loading import Specification, load_problem
+from swerve.problem.loading import load_problem
 from swerve.reproduce.pendulum.measure import LEAST_SURVIVAL, read_violation
 from swerve.reproduce.ranks import NOISE, Judged, ranks
-from swerve.work.work import RESULTS, Settings, Work
+from swerve.work.folder import RESULTS
+from swerve.work.settings import Settings
+from swerve.work.work import Work
 
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30)
 NUM_SUBSETS = 2_000
@@ -57,14 +59,14 @@ NUM_REFERENCE = 2_000  # trajectories for log Z_0
 
 
 class Setting(NamedTuple):
-    """One exact file and what was sampled for it.
+    """One exact file and the evidence of its tasks.
 
     Attributes:
-      max_torque: of the pendulum.
+      max_torque: largest torque of the pendulum.
       exact: [K, H] exact violation probabilities, in the order of the demonstrations.
-      evidence: of the same tasks.
+      evidence: evidence of the same tasks.
       exact_log_partition: [K] log Z_0 from the grid solver at its default resolution, nats.
-      seconds: wall time to learn and sample; None where results were stored before.
+      seconds: wall time to learn and sample [s]; None where results were stored before.
     """
 
     max_torque: float
@@ -77,7 +79,7 @@ class Setting(NamedTuple):
 def measure_setting(
     path: Path, demonstrations: list[Any], arguments: argparse.Namespace
 ) -> Setting:
-    """Learn and sample what one exact file is about."""
+    """Learn and sample the problem of one exact file."""
     match = re.fullmatch(r"exact_violation_torque([0-9.]+)", path.stem)
     if match is None:
         raise ValueError(f"{path}: expected a name such as exact_violation_torque10.csv")
@@ -118,17 +120,18 @@ def holds_results(folder: Path | None, solver: str) -> bool:
 def reference_log_partition(text: str, evidence: Evidence) -> np.ndarray:
     """Return log Z_0 [K] by importance weights of the default grid, whose ESS is near N.
 
-    Of trajectories of their own, so that those of the default grid can be held against them too.
+    The trajectories are samples of their own, so that evidence of the default grid can be compared
+    with them too.
     """
-    nominal, draw = learn(load_problem(text), Grid()), {"method": "importance", "seed": 1}
-    return sample(nominal, evidence.tasks, NUM_REFERENCE, progress=True, **draw).log_partition
+    nominal, how = learn(load_problem(text), Grid()), {"method": "importance", "seed": 1}
+    return sample(nominal, evidence.tasks, NUM_REFERENCE, progress=True, **how).log_partition
 
 
 def accuracy(setting: Setting) -> list[dict[str, Any]]:
     """Return one row for each way to weigh the trajectories."""
     evidence = setting.evidence
     divergences = evidence.kl
-    if evidence.method != "smc":  # its trajectories are not the policy's
+    if evidence.method != "smc":  # trajectories of "smc" are not the policy's
         pairs = zip(evidence.importance_log_weight, setting.exact_log_partition, strict=True)
         divergences = [kl_divergence(*pair) for pair in pairs]
     log_partition_error = np.abs(evidence.log_partition - setting.exact_log_partition)
@@ -155,7 +158,7 @@ def accuracy(setting: Setting) -> list[dict[str, Any]]:
 
 
 def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict[str, Any]]:
-    """Return the first five hypotheses and the true one, in nats, beside the exact ones."""
+    """Return the first five hypotheses and the true one, with nats and exact nats."""
     result = infer(setting.evidence, demonstrations)
     evidence = setting.evidence
     plain = None
@@ -184,7 +187,7 @@ def ranking(setting: Setting, demonstrations: list[Any], truth: int) -> list[dic
 
 
 def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict[str, Any]]:
-    """Return the average rank of the truth and how often it is first, for each number."""
+    """Return the average rank of the truth and how often it is first, by demonstrations."""
     result = infer(setting.evidence, demonstrations)
     if result.struck_out[truth]:
         raise ValueError(f"a demonstration enters cell {truth}, so it cannot be the truth: --truth")
@@ -199,8 +202,8 @@ def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict
         for score, values in zip(SCORES, (nats, probability), strict=True):
             for size in [size for size in SIZES if size <= len(demonstrations)]:
                 generator = np.random.default_rng(0)
-                said = Judged(values, result.entered)
-                rank = ranks(said, truth, size, NUM_SUBSETS, generator)
+                scores = Judged(values, result.entered)
+                rank = ranks(scores, truth, size, NUM_SUBSETS, generator)
                 rows.append(
                     {
                         "max_torque": setting.max_torque,
@@ -216,7 +219,7 @@ def curves(setting: Setting, demonstrations: list[Any], truth: int) -> list[dict
 
 
 def _above_noise(probability: np.ndarray) -> np.ndarray:
-    """Return probabilities with 0 for those that a handful of trajectories decides."""
+    """Return probabilities, with 0 for values that a handful of trajectories decides."""
     return np.where(probability < NOISE, 0.0, probability)
 
 
@@ -276,7 +279,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
     parser.add_argument("--truth", type=int, default=55, help="index of the true cell")
     parser.add_argument("--torque", help="only this exact file")
-    parser.add_argument("--work", type=Path, help="folder that keeps what was sampled")
+    parser.add_argument("--work", type=Path, help="folder that keeps samples")
     parser.add_argument("--figure", type=Path, help="picture of the rank curves to write")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()

@@ -1,22 +1,22 @@
-"""Whether posteriors are right as often as they say.
+"""Measure whether posteriors are right as often as they say.
 
     python benchmarks/calibration.py [--draws 1000] [--samples 10000] [--json] [--figure FILE]
 
-A constraint, or none, is drawn from the prior, and some demonstrations from pi_c: trajectories that
-avoid c, drawn by weight from other samples of pi_0 (pendulum, grid solver) or from pi_c itself
-(gridworld, tabular). What `infer` makes of them is held against the truth. For both problems:
+A trial samples a constraint, or none, from the prior, and some demonstrations from pi_c: chosen by
+weight among other samples of pi_0 that avoid c (pendulum, grid solver), or sampled from pi_c itself
+(gridworld, tabular). The posterior of `infer` is compared with the truth, for both problems:
 
-1. how often credible sets of 50, 80 and 95 % contain the truth, beside the probability that they
-   say they have (sets are of whole hypotheses, so that is more than asked for), with how far apart
-   the two may be by the number of draws (95 %);
-2. P(no constraint) against how often there was none, in ten bins, drawn by --figure;
-3. the same where the demonstrator is not as assumed: at twice and half the beta, or where
-   demonstrations ignore the constraint more or less often than the tolerance says. Beside it what
-   shows that: how often nothing is left, and the mean quantile of the rewards of unconstrained
-   demonstrations among those of pi_0 (0.5 where beta is right).
+1. how often credible sets of 50, 80 and 95 % contain the truth, and the probability that the sets
+   state (more than asked for, since sets are of whole hypotheses), with the difference that the
+   number of trials allows (95 %);
+2. P(no constraint) against how often there was none, in ten bins; --figure draws it;
+3. the same where the demonstrator differs from the assumption: beta twice or half as large, or
+   demonstrations that ignore the constraint more or less often than the tolerance. Two columns show
+   such a difference: how often no hypothesis is left, and the mean quantile of the rewards of
+   unconstrained demonstrations among those of pi_0 (0.5 where beta is right).
 
-The prior gives no probability to hypotheses that hardly any trajectory of a task avoids, since
-demonstrations that obey them could not be drawn from samples.
+The prior excludes hypotheses that hardly any trajectory of a task avoids: no demonstration that
+obeys them could be sampled.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ from rich.table import Table
 from swerve import Demonstration, Evidence, Problem, Task, infer, learn, sample
 from swerve.base.progress import progress_bar
 from swerve.evidence.estimators import normalise
-from swerve.hypotheses.base import unpack
+from swerve.evidence.exact import ExactNominal
+from swerve.hypotheses.bits import select_one, unpack
 from swerve.problem.loading import load_problem
 from swerve.problem.tasks import draw_tasks
-from swerve.solvers.learn import ExactNominal
 
 PROBLEMS = {"pendulum": "pendulum?max_torque=10", "gridworld": "gridworld"}
 NUM_TASKS = 12
-NUM_DEMONSTRATIONS = (1, 3, 10, 30)
-LEVELS = (0.5, 0.8, 0.95)
-LEAST_AVOID = 0.01  # of a hypothesis that the prior allows, in every task
-NUM_BINS = 10
-LEAST_IN_BIN = 20  # draws; the share of fewer is noise
-NONE = -1  # what the truth is called where there is no constraint
+NUM_DEMONSTRATIONS = (1, 3, 10, 30)  # one of these numbers in each trial
+LEVELS = (0.5, 0.8, 0.95)  # of credible sets
+LEAST_AVOID = 0.01  # least probability of avoiding a hypothesis of the prior, in every task
+NUM_BINS = 10  # of P(no constraint)
+LEAST_IN_BIN = 20  # trials; the share of fewer is noise
+NONE = -1  # index of the truth where there is no constraint
 
 
 class Scenario(NamedTuple):
-    """What the demonstrator does, and what is assumed.
+    """Behaviour of the demonstrator, and the assumption about it.
 
     Attributes:
-      name: for people.
-      beta: of the demonstrator, times that assumed.
+      name: name in tables.
+      beta: beta of the demonstrator, in units of the assumed one.
       ignoring: probability that a demonstration ignores the constraint.
-      tolerance: what is assumed of it.
+      tolerance: assumed value of this probability.
     """
 
     name: str
@@ -79,45 +79,45 @@ SCENARIOS = (
 )
 
 
-class Drawn(NamedTuple):
-    """A demonstration as far as inference looks at it.
+class Sampled(NamedTuple):
+    """The parts of a demonstration that inference uses.
 
     Attributes:
-      entered: [H] what it enters.
-      total_reward: its reward.
+      entered: [H] whether it enters each hypothesis.
+      total_reward: total reward.
     """
 
     entered: np.ndarray
     total_reward: float
 
 
-Draw = Callable[[int, int, np.random.Generator], Drawn]
-"""Draws a demonstration of a task that obeys a hypothesis, or NONE."""
+# samples a demonstration of a task that obeys a hypothesis, or NONE
+Sampler = Callable[[int, int, np.random.Generator], Sampled]
 
 
 class World(NamedTuple):
-    """A problem to be tried.
+    """Evidence of a problem, and samplers of its demonstrations.
 
     Attributes:
-      evidence: that inference rests on.
-      prior: [H + 1].
-      draw: for each multiple of beta.
+      evidence: the evidence to infer from.
+      prior: [H + 1] prior probabilities.
+      samplers: sampler of demonstrations for each multiple of beta.
     """
 
     evidence: Evidence
     prior: np.ndarray
-    draw: dict[float, Draw]
+    samplers: dict[float, Sampler]
 
 
 class Trial(NamedTuple):
-    """What was inferred from one draw of everything.
+    """Result of one trial.
 
     Attributes:
       is_none: whether there was no constraint.
       none: P(no constraint).
       truth: posterior of the truth.
-      said: [levels] probability of the credible sets.
-      contained: [levels] whether they contain the truth.
+      said: [levels] probability that the credible sets state.
+      contained: [levels] whether the credible sets contain the truth.
       nothing_left: whether every hypothesis of the prior was struck out.
       quantile: mean quantile of the rewards where there was no constraint, NaN elsewhere.
     """
@@ -132,7 +132,7 @@ class Trial(NamedTuple):
 
 
 def make_world(text: str, num_samples: int, betas: list[float], seed: int) -> World:
-    """Return evidence of a problem, and what draws demonstrations of it."""
+    """Return evidence of a problem, and samplers of its demonstrations."""
     problem = load_problem(text)
     tasks = draw_tasks(problem, NUM_TASKS, seed=seed)
     nominal = learn(problem)
@@ -141,40 +141,40 @@ def make_world(text: str, num_samples: int, betas: list[float], seed: int) -> Wo
     least = 0.0 if is_exact else LEAST_AVOID
     allowed = (evidence.violation_probability < 1.0 - least).all(axis=0)
     prior = np.concatenate([[0.5], 0.5 * allowed / allowed.sum()])
-    draw: dict[float, Draw] = {}
+    samplers: dict[float, Sampler] = {}
     for beta in betas:
         other = dataclasses.replace(problem, beta=beta * problem.beta)
-        make = _exact_draw if is_exact else _sampled_draw
-        draw[beta] = make(other, tasks, num_samples, seed + 1)
-    return World(evidence, prior, draw)
+        if is_exact:
+            samplers[beta] = _exact_sampler(other, tasks, seed + 1)
+        else:
+            samplers[beta] = _weighted_sampler(other, tasks, num_samples, seed + 1)
+    return World(evidence, prior, samplers)
 
 
-def _sampled_draw(problem: Problem, tasks: Task, num_samples: int, seed: int) -> Draw:
-    """Return what draws from samples of pi_0, by weight, those that avoid c."""
+def _weighted_sampler(problem: Problem, tasks: Task, num_samples: int, seed: int) -> Sampler:
+    """Return a sampler that chooses by weight among samples of pi_0 that avoid c."""
     nominal = learn(problem)
     evidence = sample(nominal, tasks, num_samples, method="importance", seed=seed, progress=True)
     num_hypotheses = len(problem.hypotheses)
     rewards, bits = evidence.samples.total_reward, evidence.samples.violations
     weight = np.array([normalise(row) for row in evidence.log_weight])
 
-    def draw(task: int, hypothesis: int, generator: np.random.Generator) -> Drawn:
+    def one(task: int, hypothesis: int, generator: np.random.Generator) -> Sampled:
         chance = weight[task]
         if hypothesis != NONE:
-            hit = bits[task, :, hypothesis >> 3] >> (hypothesis & 7) & 1
-            chance = chance * (hit == 0)
+            chance = chance * ~select_one(bits[task], slice(None), hypothesis)
         n = generator.choice(len(chance), p=chance / chance.sum())
-        return Drawn(unpack(bits[task, n], num_hypotheses), float(rewards[task, n]))
+        return Sampled(unpack(bits[task, n], num_hypotheses), float(rewards[task, n]))
 
-    return draw
+    return one
 
 
-def _exact_draw(problem: Problem, tasks: Task, num_samples: int, seed: int) -> Draw:
-    """Return what draws from pi_c worked out for each task and hypothesis once."""
-    del num_samples
+def _exact_sampler(problem: Problem, tasks: Task, seed: int) -> Sampler:
+    """Return a sampler of pi_c itself, which is computed once for each task and hypothesis."""
     nominal, made = learn(problem), {}
     assert isinstance(nominal, ExactNominal)
 
-    def draw(task: int, hypothesis: int, generator: np.random.Generator) -> Drawn:
+    def one(task: int, hypothesis: int, generator: np.random.Generator) -> Sampled:
         if (task, hypothesis) not in made:
             avoiding = [] if hypothesis == NONE else [hypothesis]
             answer = nominal.answer(
@@ -182,23 +182,23 @@ def _exact_draw(problem: Problem, tasks: Task, num_samples: int, seed: int) -> D
                 np.random.default_rng([seed, task, hypothesis + 1]),
                 avoiding=avoiding,
             )
-            made[task, hypothesis] = answer.drawn
-        drawn = made[task, hypothesis]
-        n = generator.integers(len(drawn.total_reward))
-        entered = unpack(drawn.violations[n], len(problem.hypotheses))
-        return Drawn(entered, float(drawn.total_reward[n]))
+            made[task, hypothesis] = answer.kept
+        kept = made[task, hypothesis]
+        n = generator.integers(len(kept.total_reward))
+        entered = unpack(kept.violations[n], len(problem.hypotheses))
+        return Sampled(entered, float(kept.total_reward[n]))
 
-    return draw
+    return one
 
 
 def try_once(world: World, scenario: Scenario, generator: np.random.Generator) -> Trial:
-    """Draw a truth and demonstrations of it, and infer."""
+    """Sample a truth and demonstrations that obey it, and infer."""
     evidence = world.evidence
     truth = int(generator.choice(len(world.prior), p=world.prior)) - 1
     tasks = generator.integers(evidence.num_tasks, size=generator.choice(NUM_DEMONSTRATIONS))
     obeyed = np.where(generator.random(len(tasks)) < scenario.ignoring, NONE, truth)
     made = [
-        world.draw[scenario.beta](int(task), int(hypothesis), generator)
+        world.samplers[scenario.beta](int(task), int(hypothesis), generator)
         for task, hypothesis in zip(tasks, obeyed, strict=True)
     ]
     result = infer(evidence, prior=world.prior, tolerance=scenario.tolerance)
@@ -209,7 +209,6 @@ def try_once(world: World, scenario: Scenario, generator: np.random.Generator) -
         entered=np.array([one.entered for one in made]),
     )
     sets = [result.credible_set(level) for level in LEVELS]
-    allowed = world.prior[1:] > 0.0
     return Trial(
         is_none=truth == NONE,
         none=result.posterior.none,
@@ -218,18 +217,18 @@ def try_once(world: World, scenario: Scenario, generator: np.random.Generator) -
         contained=[
             found.has_none if truth == NONE else truth in found.hypotheses for found in sets
         ],
-        nothing_left=bool(result.struck_out[allowed].all()),
+        nothing_left=bool(result.struck_out[world.prior[1:] > 0.0].all()),
         quantile=_quantile(evidence, tasks, made) if truth == NONE else math.nan,
     )
 
 
 def _stand_in(evidence: Evidence, task: int) -> Demonstration:
-    """Return a demonstration of a task; what it enters is told apart from it."""
+    """Return a demonstration of a task; `try_once` sets the hypotheses that it enters."""
     start, goal = evidence.tasks.start[task], evidence.tasks.goal[task]
-    return Demonstration("drawn", start[None], Task(start, goal))
+    return Demonstration("sampled", start[None], Task(start, goal))
 
 
-def _quantile(evidence: Evidence, tasks: np.ndarray, made: list[Drawn]) -> float:
+def _quantile(evidence: Evidence, tasks: np.ndarray, made: list[Sampled]) -> float:
     """Return the mean quantile of rewards among those of pi_0, ties counted half."""
     found = []
     for task, one in zip(tasks, made, strict=True):
@@ -240,7 +239,7 @@ def _quantile(evidence: Evidence, tasks: np.ndarray, made: list[Drawn]) -> float
 
 
 def summarise(trials: list[Trial]) -> dict[str, Any]:
-    """Return what many trials come to."""
+    """Return means over trials."""
     num, none = len(trials), np.array([trial.none for trial in trials])
     is_none = np.array([trial.is_none for trial in trials])
     place = np.minimum((none * NUM_BINS).astype(int), NUM_BINS - 1)
@@ -304,25 +303,22 @@ def draw_figure(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> None
             said = [one["said"] for one in row["none_bins"]]
             was = [one["was"] for one in row["none_bins"]]
             ax.plot(said, was, style, color=colour, ms=4, lw=1, label=scenario)
-        first = next(iter(rows.values()))
-        for one in first["none_bins"]:
-            half = 1.96 * math.sqrt(
-                max(one["was"] * (1 - one["was"]), 0.25 / one["num"]) / one["num"]
-            )
+        for one in next(iter(rows.values()))["none_bins"]:  # of the first scenario
+            variance = max(one["was"] * (1 - one["was"]), 0.25 / one["num"])
+            half = 1.96 * math.sqrt(variance / one["num"])
             ax.plot([one["said"]] * 2, [one["was"] - half, one["was"] + half], "k-", lw=0.8)
         ax.set(title=name, xlabel="P(no constraint) as inferred", xlim=(0, 1), ylim=(-0.02, 1.02))
-    axes[0].set_ylabel("share of draws without one")
-    figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8
-    )
+    axes[0].set_ylabel("share of trials without one")
+    named = axes[0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside lower center", ncols=2, fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=200)
 
 
 def main() -> None:
-    """Run it."""
+    """Run the trials and print tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--draws", type=int, default=1_000, help="of each scenario")
+    parser.add_argument("--draws", type=int, default=1_000, help="trials of each scenario")
     parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
     parser.add_argument("--problem", choices=PROBLEMS, action="append")
     parser.add_argument("--seed", type=int, default=0)
@@ -334,7 +330,7 @@ def main() -> None:
         betas = sorted({scenario.beta for scenario in SCENARIOS})
         world = make_world(PROBLEMS[name], arguments.samples, betas, arguments.seed)
         found[name] = {}
-        with progress_bar(f"{name}: drawing", len(SCENARIOS) * arguments.draws, True) as advance:
+        with progress_bar(f"{name}: trials", len(SCENARIOS) * arguments.draws, True) as advance:
             for scenario in SCENARIOS:
                 generator, trials = np.random.default_rng(arguments.seed), []
                 for _ in range(arguments.draws):

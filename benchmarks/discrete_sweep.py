@@ -1,4 +1,4 @@
-"""How good discretised dynamics can get: a sweep over cells, time step and transition rule.
+"""Measure how accurate discretised dynamics can be, over cells, time steps and transition rules.
 
     python benchmarks/discrete_sweep.py --data DIR [--torque 10] [--truth 55] [--quick] [--json]
                                         [--cells 30 60 120] [--holds 3 6 12 20] [--rules centre]

@@ -1,10 +1,10 @@
-"""How long exact answers take, and how much memory.
+"""Measure time and memory of exact answers.
 
     python benchmarks/exact.py [--json]
 
 All 5^10 action sequences of the pendulum against 100 hypotheses, and one backward and forward pass
-over a gridworld of 200 x 200 cells with 8 moves and 400 steps; each in a process of its own: wall
-time [s], without the start of the process, and peak memory of the process [GiB].
+over a gridworld of 200 x 200 cells with 8 moves and 400 steps. Each job runs in a process of its
+own; printed are its wall time [s], without the start of the process, and its peak memory [GiB].
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ JOBS = {
 
 
 def run(name: str) -> dict[str, float]:
-    """Return what one job takes."""
+    """Return wall time and peak memory of one job."""
     import swerve
 
     if name == "enumeration":

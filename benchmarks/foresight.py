@@ -1,19 +1,20 @@
-"""How well P(avoid from here on) is foreseen along real demonstrations, against exact values.
+"""Compare foresight of P(avoid from here on) along real demonstrations with exact values.
 
     python benchmarks/foresight.py --data DIR [--demos N] [--hypotheses I,J,...] [--work DIR]
                                    [--figure FILE]
 
 The pendulum with torques up to 10 and the demonstrations in DIR. The grid solver is the nominal
 and the reference: with c among the known constraints, log P_0(avoid c after t | s_t, t) is the
-difference of two soft values at (s_t, t), V_c - V_0. Beside a wall interpolation errs on the
-hopeful side, by up to 0.7 nats here, so trajectories of each value's own policy weigh its error
-out: V gains log mean exp(l), see `continuation`. Hypotheses that no demonstration enters are
-compared, the one that the demonstrators avoid (cell 55) among them; "open" are the states at which
-the exact log P is below -0.05 nats, since elsewhere the cell is as good as passed. A second table
-tells by how many nats the evidence for cell 55 has risen when a demonstration is nearest to it, by
-the largest difference of a state from its centre in units of the bounds, and when it passes: the
-last moment at which the exact log P(avoid after t) is below half of what it was at the start.
---figure draws the evidence over time.
+difference of two soft values at (s_t, t), V_c - V_0. Beside a wall, interpolation makes the soft
+value too large, by up to 0.7 nats here; trajectories of the value's own policy correct this error
+by their weights: V gains log mean exp(l), see `simulation.continuation`. The hypotheses compared
+are those that no demonstration enters, with the one that the demonstrators avoid (cell 55).
+"Open" are the states where the exact log P is below -0.05 nats; at other states the cell is already
+passed. A second table gives the nats by which the evidence for cell 55 has risen at two moments:
+when a demonstration is nearest to the cell (by the largest difference of a state from its centre in
+units of the bounds), and when the demonstration passes the cell (the last moment at which the exact
+log P(avoid after t) is below half of its value at the start). --figure draws the evidence over
+time.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import argparse
 import dataclasses
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,24 +36,23 @@ from rich.table import Table
 import swerve
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.monitoring.foresight import Foreseer, Foresight
-from swerve.sampling.resolve import AdaptingSolver
 from swerve.simulation.continuation import continued
 from swerve.simulation.policies import ValuedPolicy
-from swerve.solvers.learn import PolicyNominal
+from swerve.solvers.base import AdaptingSolver, PolicyNominal
 
-TRUTH = 55
-OPEN = -0.05  # nats: above this the exact log P leaves next to nothing to be foreseen
-NUM_WEIGHED = 500  # trajectories that weigh out the error of a soft value
-EVERY = 10  # of the recorded states, one is compared
-QUANTILES = (0.5, 0.9, 0.95, 1.0)
-SPAN = 3.0  # s drawn before and after a demonstration is nearest
-STRONG = 0.8  # nats: demonstrations that say so much are drawn in black
-BOLD, FAINT = ("#000000", 1.0, 3), ("#b0b0b0", 0.7, 2)  # colour, width, which lies above
+TRUTH = 55  # index of the cell that the demonstrators avoid
+OPEN = -0.05  # nats: above this exact log P, the cell is already passed
+NUM_WEIGHED = 500  # trajectories that correct the error of a soft value
+EVERY = 10  # recorded states from one that is compared to the next
+QUANTILES = (0.5, 0.9, 0.95, 1.0)  # of errors
+SPAN = 3.0  # s: time shown before and after a demonstration is nearest to the cell
+STRONG = 0.8  # nats: demonstrations with at least this evidence in the end are black
+BOLD, FAINT = {"color": "#000000", "lw": 1.0}, {"color": "#b0b0b0", "lw": 0.7}
 STYLES = (("-", "#000000"), ("--", "#0072b2"), (":", "#d55e00"))
 
 
 def places(demonstration: Demonstration, problem: swerve.Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return some states [L, n] of a demonstration and the steps [L] at which they are."""
+    """Return every tenth state [L, n] of a demonstration, and its step [L]."""
     assert demonstration.times is not None
     rows = np.arange(0, len(demonstration.states), EVERY)
     steps = np.round(demonstration.times[rows] / problem.mdp.dt).astype(int)
@@ -60,7 +61,7 @@ def places(demonstration: Demonstration, problem: swerve.Problem) -> tuple[np.nd
 
 
 def soft_values(nominal: PolicyNominal, demonstrations: list[Demonstration]) -> list[np.ndarray]:
-    """Return log Z of what is left at the states [L] of each demonstration, nats."""
+    """Return log Z of the rest of the episode at the states [L] of each demonstration, nats."""
     goals = np.stack([item.task.goal for item in demonstrations])
     found = []
     for policy, item in zip(nominal.policies(goals), demonstrations, strict=True):
@@ -98,15 +99,8 @@ def quantile_row(error: np.ndarray) -> list[str]:
 
 
 def main() -> None:
-    """Learn what is not there yet, compare, and print tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--demos", type=int, default=6)
-    parser.add_argument("--hypotheses", default="")
-    parser.add_argument("--work", type=Path, help="keep evidence and foresight here")
-    parser.add_argument("--figure", type=Path)
-    parser.add_argument("--rollouts", type=int, default=1000, help="for each answer on the spot")
-    arguments = parser.parse_args()
+    """Learn what is not stored yet, compare, and print tables."""
+    arguments = parsed_arguments()
     problem = swerve.load_problem("pendulum?max_torque=10")
     files = sorted(arguments.data.glob("demo_*.csv"))[: arguments.demos]
     demonstrations = swerve.read_demonstrations(
@@ -128,35 +122,59 @@ def main() -> None:
     }
     exact = {index: exact_values(nominal, index, demonstrations, unconstrained) for index in chosen}
     shown = f"learned in {seconds:.0f} s" if seconds else "learned before"
-    table = Table(
-        title=f"error of log P(avoid after t) in nats, {len(files)} demonstrations, {shown}"
-    )
-    for column in ("foresight", "hypothesis", *(f"{share:.0%}" for share in QUANTILES)):
-        table.add_column(column)
-    for name, values in foreseers.items():
-        errors = {
-            index: np.concatenate(
-                [value[:, index] - true for value, true in zip(values, exact[index], strict=True)]
-            )
-            for index in chosen
-        }
-        for index, error in errors.items():
-            table.add_row(name, str(index), *quantile_row(error))
-        every = np.concatenate(list(errors.values()))
-        is_open = np.concatenate([np.concatenate(exact[index]) for index in chosen]) < OPEN
-        table.add_row(name, "all", *quantile_row(every))
-        table.add_row(name, f"all, open ({is_open.mean():.0%})", *quantile_row(every[is_open]))
-    Console(width=110).print(table)
+    title = f"error of log P(avoid after t) in nats, {len(files)} demonstrations, {shown}"
+    Console(width=110).print(error_table(title, foreseers, exact))
     risen, ends = evidence_over_time(demonstrations, evidence, foreseers, exact[TRUTH])
     Console(width=130).print(rise_table(problem, demonstrations, risen, ends, exact[TRUTH]))
     if arguments.figure is not None:
         draw_figure(problem, demonstrations, risen, ends, arguments.figure)
 
 
+def parsed_arguments() -> argparse.Namespace:
+    """Return the arguments of the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--demos", type=int, default=6)
+    parser.add_argument("--hypotheses", default="")
+    parser.add_argument("--work", type=Path, help="keep evidence and foresight here")
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--rollouts", type=int, default=1000, help="for each answer on the spot")
+    return parser.parse_args()
+
+
+def error_table(
+    title: str, foreseers: dict[str, list[np.ndarray]], exact: dict[int, list[np.ndarray]]
+) -> Table:
+    """Return quantiles of the errors of each kind of foresight, by hypothesis and over all.
+
+    Args:
+      title: title of the table.
+      foreseers: log P(avoid after t) [L, H] along each demonstration, by kind of foresight.
+      exact: the exact values [L] along each demonstration, by hypothesis.
+    """
+    table = Table(title=title)
+    for column in ("foresight", "hypothesis", *(f"{share:.0%}" for share in QUANTILES)):
+        table.add_column(column)
+    for name, values in foreseers.items():
+        errors = {
+            index: np.concatenate(
+                [value[:, index] - true for value, true in zip(values, truths, strict=True)]
+            )
+            for index, truths in exact.items()
+        }
+        for index, error in errors.items():
+            table.add_row(name, str(index), *quantile_row(error))
+        every = np.concatenate(list(errors.values()))
+        is_open = np.concatenate([np.concatenate(truths) for truths in exact.values()]) < OPEN
+        table.add_row(name, "all", *quantile_row(every))
+        table.add_row(name, f"all, open ({is_open.mean():.0%})", *quantile_row(every[is_open]))
+    return table
+
+
 def learned(
     nominal: PolicyNominal, demonstrations: list[Demonstration], work: Path | None
 ) -> tuple[swerve.Evidence, Foresight, float]:
-    """Return evidence and foresight of the demonstrations' tasks, and how long it took [s]."""
+    """Return evidence and foresight of the demonstrations' tasks, and the time to learn [s]."""
     kinds = () if work is None else ("evidence", "foresight")
     paths = [Path(work or "") / f"{len(demonstrations)}.{kind}" for kind in kinds]
     if paths and paths[0].exists():
@@ -197,7 +215,7 @@ def evidence_over_time(
     foreseers: dict[str, list[np.ndarray]],
     exact: list[np.ndarray],
 ) -> tuple[dict[str, list[np.ndarray]], np.ndarray]:
-    """Return the evidence for the truth [L] along each demonstration, by source, and in the end."""
+    """Return the evidence for the truth [L] along each demonstration, by source, and its end."""
     ends = [-evidence.log_ratio[evidence.match(item.task), TRUTH] for item in demonstrations]
     left = {"exact": exact} | {
         name: [value[:, TRUTH] for value in values] for name, values in foreseers.items()
@@ -210,7 +228,7 @@ def evidence_over_time(
 
 
 def nearest_row(problem: swerve.Problem, states: np.ndarray) -> int:
-    """Return which of some states [L, n] is nearest to the centre of the true cell."""
+    """Return the row of the state [L, n] that is nearest to the centre of the true cell."""
     box = problem.hypotheses.constraint(TRUTH)
     assert isinstance(box, swerve.Box)
     centre = np.array([np.mean(interval) for interval in box.intervals.values()])
@@ -219,7 +237,7 @@ def nearest_row(problem: swerve.Problem, states: np.ndarray) -> int:
 
 
 def passing_row(left: np.ndarray) -> int:
-    """Return the last of log P(avoid after t) [L] that is below half the first."""
+    """Return the last row where log P(avoid after t) [L] is below half the first."""
     return int(np.flatnonzero(left <= 0.5 * left[0])[-1])
 
 
@@ -230,7 +248,7 @@ def rise_table(
     ends: np.ndarray,
     exact: list[np.ndarray],
 ) -> Table:
-    """Return by how much the evidence for the truth has risen where demonstrations pass it."""
+    """Return the evidence for the truth when demonstrations are nearest to it and pass it."""
     table = Table(
         title=f"evidence for cell {TRUTH} in nats: when nearest to it, passing it, in the end"
     )
@@ -258,7 +276,7 @@ def draw_figure(
     ends: np.ndarray,
     path: Path,
 ) -> None:
-    """Draw the evidence for the truth, of all and of each, about when they are nearest to it."""
+    """Draw the evidence for the truth over the time since a demonstration is nearest to it."""
     figure = Figure((7.2, 3.6), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     together, single = figure.subplots(1, 2)
@@ -271,9 +289,7 @@ def draw_figure(
             total += np.interp(times, since, value, left=0.0, right=end)
             if name == "exact":
                 strong = end >= STRONG
-                look = (
-                    {"color": "#000000", "lw": 1.0} if strong else {"color": "#b0b0b0", "lw": 0.7}
-                )
+                look: dict[str, Any] = BOLD if strong else FAINT
                 single.plot([*since, SPAN], [*value, end], zorder=2 + strong, **look)
         together.plot(times, total, style, color=colour, lw=1.8, label=name)
     together.axhline(ends.sum(), color="#808080", lw=0.8, ls=(0, (1, 2)))

@@ -1,14 +1,14 @@
-"""Greedy selection at full size: 10,000 trajectories x 10,000 hypotheses x 33 tasks, ten picks.
+"""Time greedy selection at full size: 10,000 trajectories, 10,000 hypotheses, 33 tasks, ten picks.
 
     python benchmarks/greedy.py [--quick] [--json]
 
-Importance-weighted evidence of two kinds is made up: smooth walks over a grid of 100 x 100 cells,
-where hypothesis c is entered by what comes within a cell of cell c, so that neighbours overlap; and
-independent random bits, all of which cover about as much, so that no pick tells anything about the
+Importance-weighted evidence of two kinds is made up. In the first, smooth walks cross a grid of
+100 x 100 cells and enter hypothesis c where they come within a cell of cell c, so that neighbours
+overlap. In the second, all bits are independent and random, so that no pick says anything about the
 next. The bits (412 MB) are in memory before the clock starts. Picks, gains and standard errors are
-held against those of the plain way, which weighs all trajectories anew after each pick: over all of
-it with --quick (1,000 x 1,000 x 5), else over that size first. The best pair is looked for as well,
-among 1,000 hypotheses: of walks bounds rule out next to all pairs, of random bits none.
+first compared with the plain algorithm, which weighs all trajectories anew after each pick, at the
+size of --quick (1,000 x 1,000 x 5). The best pair is timed as well, among 1,000 hypotheses: bounds
+rule out nearly all pairs of walks, and no pair of random bits.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from swerve import Demonstration, Evidence, Inference, Task, best_pair, greedy, 
 from swerve.base.space import StateSpace
 from swerve.evidence import estimators
 from swerve.evidence.samples import Samples, summarise
-from swerve.hypotheses.base import enters_set, pack_sets
+from swerve.hypotheses.bits import enters_set, pack, pack_sets
 from swerve.inference.greedy import TIED, Pick
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
 
 NUM_PICKS = 10
 NUM_STEPS = 120
@@ -36,6 +36,8 @@ EXTENT = 10.0
 
 
 class Size(NamedTuple):
+    """Size of the made-up evidence."""
+
     num_trajectories: int
     cells: tuple[int, int]
     num_tasks: int
@@ -47,7 +49,7 @@ SMALL = Size(1_000, (40, 25), 5)
 
 
 def walks(size: Size, tasks: Task, generator: np.random.Generator) -> np.ndarray:
-    """Return packed bits [K, N, B]: what smooth walks from start to goal come near."""
+    """Return packed bits [K, N, B]: the cells that smooth walks from start to goal come near."""
     rows, columns = size.cells
     time_done = np.linspace(0.0, 1.0, NUM_STEPS)
     waves = np.sin(np.pi * np.arange(1, 6)[:, None] * time_done)  # 0 at both ends
@@ -65,13 +67,12 @@ def walks(size: Size, tasks: Task, generator: np.random.Generator) -> np.ndarray
             near = np.pad(visited, [(0, 0)] + [(int(k == axis),) * 2 for k in (1, 2)])
             length = visited.shape[axis]
             visited = np.any([near.take(range(k, k + length), axis=axis) for k in range(3)], axis=0)
-        flat = visited.reshape(size.num_trajectories, -1)
-        packed.append(np.packbits(flat, axis=1, bitorder="little"))
+        packed.append(pack(visited.reshape(size.num_trajectories, -1)))
     return np.stack(packed)
 
 
 def random_bits(size: Size, generator: np.random.Generator) -> np.ndarray:
-    """Return packed bits [K, N, B], each set with probability 1/4 whatever the others."""
+    """Return packed bits [K, N, B], each set independently with probability 1/4."""
     shape = size.num_tasks, size.num_trajectories, size.cells[0] * size.cells[1] // 8
     bits = generator.integers(0, 256, shape, np.uint8)
     bits &= generator.integers(0, 256, shape, np.uint8)
@@ -129,7 +130,7 @@ def inference_of(size: Size, kind: str) -> Inference:
 
 
 def plain(inference: Inference) -> list[tuple[int, float, float]]:
-    """Pick by weighing all trajectories anew after each pick: (hypothesis, gain, error)."""
+    """Return picks (hypothesis, gain, error), weighing all trajectories anew after each pick."""
     evidence, left = inference.evidence, ~inference.struck_out
     num_hypotheses, share = len(left), inference.task_counts / len(inference.demonstrations)
     picked: list[tuple[int, float, float]] = []
@@ -138,7 +139,7 @@ def plain(inference: Inference) -> list[tuple[int, float, float]]:
         found = []
         for log_weight, bits in zip(evidence.log_weight, evidence.samples.violations, strict=True):
             clean = np.where(enters_set(bits, members), -np.inf, log_weight)
-            if np.isneginf(clean).all():  # nothing is left that could tell
+            if np.isneginf(clean).all():  # no trajectory avoids the picks
                 nothing = np.zeros(num_hypotheses)
                 found.append(estimators.LogRatio(nothing, nothing + np.inf))
                 continue
@@ -156,11 +157,12 @@ def plain(inference: Inference) -> list[tuple[int, float, float]]:
 
 
 def select(inference: Inference) -> list[Pick]:
+    """Return the picks of greedy selection."""
     return greedy(inference, threshold=0.0, most=NUM_PICKS)
 
 
 def check(inference: Inference) -> None:
-    """Stop where greedy selection differs from the plain way."""
+    """Raise AssertionError where greedy selection differs from the plain algorithm."""
     found = [(p.hypothesis, p.gain, p.standard_error) for p in select(inference)]
     expected = plain(inference)
     assert [row[0] for row in found] == [row[0] for row in expected]
@@ -176,9 +178,12 @@ def time_of_pair(inference: Inference) -> float:
 
 
 def measure(kind: str, size: Size) -> dict[str, float]:
+    """Return time and memory of greedy selection, and the time of the best pair."""
     check(inference_of(SMALL, kind))
     inference = inference_of(size, kind)
-    inference.evidence.samples.violations.sum(axis=2, dtype=np.int64)  # read once, as it is loaded
+    inference.evidence.samples.violations.sum(
+        axis=2, dtype=np.int64
+    )  # read into memory before the clock starts
     began, began_cpu = time.perf_counter(), time.process_time()
     picks = select(inference)
     elapsed, used = time.perf_counter() - began, time.process_time() - began_cpu
@@ -201,6 +206,7 @@ def measure(kind: str, size: Size) -> dict[str, float]:
 
 
 def main() -> None:
+    """Measure both kinds of evidence and print the numbers."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="the small size alone")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -210,7 +216,7 @@ def main() -> None:
     if arguments.json:
         print(json.dumps({"size": size._asdict(), "load": os.getloadavg()[0], **found}))
         return
-    print(f"{size}; load of the machine {os.getloadavg()[0]:.1f}; the small size as the plain way")
+    print(f"{size}; load of the machine {os.getloadavg()[0]:.1f}; the small size as the plain one")
     for kind, row in found.items():
         print(kind)
         for name, value in row.items():

@@ -1,11 +1,11 @@
-"""What the obstacle that people walk around hangs on: beta, walls, and where squares lie.
+"""Measure how the obstacle found in people's tracks depends on beta, walls and squares.
 
     python benchmarks/human_walk.py --data DIR [--beta 8.49]
 
-The first pick of `swerve reproduce human-walk` at one beta, with everything as there, then with one
-thing changed: how far the middle of a body keeps from walls, the corner that squares are counted
-from, their side, and beta. For each, how far the first pick's centre is from the obstacle's, its
-log-likelihood ratio, and by how much it is ahead of the best square that does not overlap it.
+The first pick of `swerve reproduce human-walk` at one beta is made again with one setting changed:
+the distance that the middle of a body keeps from walls, the corner that squares are counted from,
+the side of squares, or beta. The table gives the distance of the first pick's centre from the
+obstacle's, its log-likelihood ratio, and its lead over the best square that does not overlap it.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from swerve.reproduce.human_walk.measure import (
 from swerve.reproduce.human_walk.tracks import Room, Tracks, read_room, read_tracks
 from swerve.solvers.exact.soft_paths import SoftPaths
 
-OBSTACLE = (0.69, 0.52)  # m, the centre of the one of the THOR recordings
-WALLS = (0.0, 0.1)  # m; 0.2 unless changed
+OBSTACLE = (0.69, 0.52)  # m: centre of the obstacle in the THOR recordings
+WALLS = (0.0, 0.1)  # m from walls; 0.2 unless changed
 CORNERS = ((-11.0, -10.0), (-10.92, -9.89), (0.09, 0.09))  # m; (0, 0) unless changed
-SIDES = (0.5, 1.0)  # m; 0.75 unless changed
-BETAS = (0.95, 1.1, 1.5, 2.0)  # times the one given
+SIDES = (0.5, 1.0)  # m: side of squares; 0.75 unless changed
+BETAS = (0.95, 1.1, 1.5, 2.0)  # in units of the given beta
 
 
 def problems(room: Room, beta: float) -> Iterator[tuple[str, Problem]]:
-    """Yield what is changed, and the problem with it."""
+    """Yield a name of each change, and the problem with the change."""
     yield "as it is", problem_of(room, beta)
     for distance in WALLS:
         walls = room.picture.widened(distance) if distance else room.picture
@@ -67,7 +67,7 @@ def moved(room: Room, beta: float, corner: tuple[float, float], side: float) -> 
 
 
 def row(problem: Problem, tracks: Tracks) -> tuple[str, ...]:
-    """Return where the first pick is, its nats and its lead."""
+    """Return place of the first pick, its distance to the obstacle, its nats and its lead."""
     answer = answer_at(SoftPaths().learn(problem), tracks, most=1)
     if not answer.picks:
         return "none", "", "", ""
@@ -83,7 +83,7 @@ def row(problem: Problem, tracks: Tracks) -> tuple[str, ...]:
 
 
 def main() -> None:
-    """Try each and print a table."""
+    """Infer with each change and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="folder of tracks.csv, room.png")
     parser.add_argument("--beta", type=float, default=8.49, help="nats a metre")

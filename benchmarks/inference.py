@@ -1,12 +1,12 @@
-"""How long `infer` takes on loaded evidence, for one finished demonstration and for 33.
+"""Time `infer` on loaded evidence, for one finished demonstration and for 33.
 
     python benchmarks/inference.py [--hypotheses 100,10000] [--repeats N]
 
-Pendulum paths drawn at random, 301 states each, another task for each, judged between the states
-too; the figures for one demonstration are of one after another. Reading files and drawing tables
-are left out; what `infer` checks is not. The ranking, and the posterior with its errors, are worked
-out when they are first asked for, and told apart. Pin it to a core that nothing else uses
-(`taskset -c 1`).
+Demonstrations are random pendulum paths of 301 states, each of another task, judged between the
+states too; times for one demonstration are over one after another. The checks of `infer` are
+included; reading files and printing tables are not. `infer` computes the ranking and the posterior
+with its errors on first use, so times up to each of them are given. Pin the process to a core that
+nothing else uses (`taskset -c 1`).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from rich.table import Table
 import swerve
 
 NUM_DEMONSTRATIONS = 33
-UP_TO = ("entered", "ranking", "posterior")  # what the call works out, and what is asked for then
+UP_TO = ("entered", "ranking", "posterior")  # the first by the call, the others on first use
 QUANTILES = (0.5, 0.99)
 WARM_UP = 5
 
 
 def make(num_hypotheses: int, num: int) -> tuple[swerve.Evidence, list[swerve.Demonstration]]:
-    """Return evidence for as many tasks, and a demonstration of each."""
+    """Return evidence of `num` tasks, and a demonstration of each."""
     generator, times = np.random.default_rng(0), np.arange(301) / 60.0
     goals = generator.uniform([0.0, -1.0], [6.0, 1.0], (num, 2))
     starts = generator.uniform([0.0, -1.0], [6.0, 1.0], (num, 2))
@@ -47,7 +47,7 @@ def make(num_hypotheses: int, num: int) -> tuple[swerve.Evidence, list[swerve.De
 def infer_each(
     evidence: swerve.Evidence, parts: list[list[swerve.Demonstration]], name: str, repeats: int
 ) -> np.ndarray:
-    """Return how long it takes [s] for one part after another, up to an attribute or the call."""
+    """Return the time [s] of `infer` for one part after another, with one attribute read."""
     taken = np.empty(WARM_UP + repeats)
     for k in range(len(taken)):
         part = parts[k % len(parts)]
@@ -59,7 +59,7 @@ def infer_each(
 
 
 def main() -> None:
-    """Time it and print a table."""
+    """Time `infer` and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--hypotheses", default="100,10000")
     parser.add_argument("--repeats", type=int, default=500)

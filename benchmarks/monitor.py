@@ -1,13 +1,13 @@
-"""How long one state takes a monitor, and whether `swerve watch` keeps up.
+"""Time one state of a monitor, and measure whether `swerve watch` keeps up.
 
     python benchmarks/monitor.py [--hypotheses 100,10000] [--states N] [--watch SECONDS]
 
-A pendulum's path drawn at random, observed state by state, input checks and posterior included,
-with a network of random weights: it takes as long as one that has learned. Pin it to a core that
-nothing else uses (`taskset -c 1`). A loop of plain NumPy calls is timed after each state, so that
-machines can be compared, and what the machine itself does to the slowest in a thousand. With
---watch, `swerve watch` gets a state every millisecond for so long, and how late its answers are is
-told.
+A monitor observes a random path of a pendulum state by state, with a network of random weights,
+which takes as long as a trained one. Input checks and the posterior are included. Pin the process
+to a core that nothing else uses (`taskset -c 1`). A loop of plain NumPy calls is timed after each
+state, to compare machines, and to see how far the machine itself delays the slowest state in a
+thousand. With --watch SECONDS, `swerve watch` gets a state every millisecond for that time, and the
+delay of its answers is printed.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from rich.table import Table
 from swerve.base.space import TWO_PI, StateSpace, Task
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import Samples, summarise
+from swerve.hypotheses.bits import pack
 from swerve.hypotheses.grid import grid
 from swerve.monitoring.foresight import Foresight, Inputs, hidden_sizes
 from swerve.monitoring.monitor import Monitor
-from swerve.problem.problem import ProblemRecord
+from swerve.problem.record import ProblemRecord
 
 WARM_UP = 1000
 QUANTILES = (0.5, 0.99, 0.999)
-NUM_CALLS = 50  # NumPy calls of the loop that is timed beside
+NUM_CALLS = 50  # NumPy calls of the loop timed after each state
 NUM_SAMPLES = 200
 TASK = Task(np.array([3.0, 0.0]), np.array([1.0, 0.5]))
 TASKS = Task(*(part[None] for part in TASK))
@@ -73,9 +74,7 @@ def make_evidence(num_hypotheses: int, tasks: Task) -> Evidence:
         length=np.full(shape, 300),
         log_correction=np.zeros(shape),
         ancestor=np.broadcast_to(np.arange(NUM_SAMPLES), shape),
-        violations=np.packbits(
-            generator.random((*shape, side**2)) < chance, axis=-1, bitorder="little"
-        ),
+        violations=pack(generator.random((*shape, side**2)) < chance),
         kept=generator.normal(size=(shape[0], 4, 301, 2)),
         soft_value=np.full(shape[0], np.nan),
     )
@@ -101,7 +100,7 @@ def make_foresight(evidence: Evidence) -> Foresight:
 
 
 def path(num_states: int, seed: int = 1) -> np.ndarray:
-    """Return states [L, 2] of a pendulum under torques that are drawn at random."""
+    """Return states [L, 2] of a pendulum under random torques."""
     generator, dt = np.random.default_rng(seed), 1.0 / 60.0
     states = np.empty((num_states, 2))
     theta, omega = 3.0, 0.0
@@ -113,9 +112,9 @@ def path(num_states: int, seed: int = 1) -> np.ndarray:
 
 
 def observe_times(num_hypotheses: int, num_states: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return how long each state took [s], and NUM_CALLS plain NumPy calls after it.
+    """Return the time of each state [s], and that of NUM_CALLS plain NumPy calls after it.
 
-    A demonstration of 300 steps after another.
+    The states are of demonstrations of 300 steps, one after another.
     """
     evidence = make_evidence(num_hypotheses, TASKS)
     foresight, states, values = make_foresight(evidence), path(300), np.zeros(100, np.float32)
@@ -134,7 +133,7 @@ def observe_times(num_hypotheses: int, num_states: int) -> tuple[np.ndarray, np.
 
 
 def lateness(seconds: float) -> np.ndarray:
-    """Return how late each answer of `swerve watch` is [s], a state every millisecond."""
+    """Return the delay of each answer of `swerve watch` [s], for a state every millisecond."""
     evidence = make_evidence(100, TASKS)
     foresight = make_foresight(evidence)
     states, num = path(300), int(seconds * 1000)
@@ -145,11 +144,11 @@ def lateness(seconds: float) -> np.ndarray:
             "import sys; from pathlib import Path; from swerve.evidence.evidence import Evidence\n"
             "from swerve.monitoring.foresight import Foresight\n"
             "from swerve.base.space import Task\n"
-            "from swerve.cli.watch import Watch, watch\n"
+            "from swerve.cli.json_lines import Watch, answer_lines\n"
             f"evidence = Evidence.load({str(Path(folder) / 'a.evidence')!r})\n"
             f"found = Foresight.load({str(Path(folder) / 'a.foresight')!r}, evidence.problem)\n"
             "task = Task(evidence.tasks.start[0], evidence.tasks.goal[0])\n"
-            "watch(sys.stdin, Watch(evidence, found, {'a': task}).answer, sys.stdout)"
+            "answer_lines(sys.stdin, Watch(evidence, found, {'a': task}).answer, sys.stdout)"
         )
         with subprocess.Popen(
             [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -164,7 +163,7 @@ def lateness(seconds: float) -> np.ndarray:
                     assert "error" not in json.loads(lines.readline())
                     answered[k] = time.perf_counter()
 
-            process.stdin.write("[3.0, 0.0]\n")  # which waits for the start
+            process.stdin.write("[3.0, 0.0]\n")  # its answer comes after the start of the process
             process.stdin.flush()
             lines.readline()
             thread = threading.Thread(target=listen)
@@ -182,7 +181,7 @@ def lateness(seconds: float) -> np.ndarray:
 
 
 def main() -> None:
-    """Time it and print a table."""
+    """Time a monitor and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--hypotheses", default="100,10000")
     parser.add_argument("--states", type=int, default=20_000)

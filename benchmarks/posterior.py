@@ -1,15 +1,17 @@
-"""How sure one may be: posteriors of the truth and of no constraint against demonstrations.
+"""Measure posteriors of the truth and of no constraint against the number of demonstrations.
 
     python benchmarks/posterior.py --data DIR [--torque 10] [--work DIR] [--json] [--figure FILE]
 
-DIR holds demo_*.csv and tasks.csv of the pendulum, as for accuracy.py. The grid solver is sampled
-for their tasks, states alone judged, and for growing numbers of demonstrations, drawn at random:
+DIR holds demo_*.csv and tasks.csv of the pendulum, as for accuracy.py. The grid solver samples
+their tasks, and entering is judged at the states alone. For random subsets of growing size:
 
-1. of the real ones, which obey the true cell (--truth): its posterior and that of no constraint;
-2. of as many drawn from pi_0 for the same tasks, which obey none: P(no constraint).
+1. of the real demonstrations, which obey the true cell (--truth): the posterior of this cell and of
+   no constraint;
+2. of as many demonstrations sampled from pi_0 for the same tasks, which obey none:
+   P(no constraint).
 
-Medians over random subsets, with the middle 80 % of them, and the standard error that the samples
-leave in the posterior, at the median.
+Printed are medians over the subsets, the middle 80 % of them, and the median of the standard error
+of the posterior from sampling.
 """
 
 from __future__ import annotations
@@ -41,12 +43,12 @@ STYLES = {
 }
 
 
-def drawn(evidence: Evidence, seed: int) -> list[Demonstration]:
+def unconstrained(evidence: Evidence, seed: int) -> list[Demonstration]:
     """Return a trajectory of pi_0 for each task, out of those that evidence keeps."""
     generator, kept = np.random.default_rng(seed), evidence.samples.kept
     return [
         Demonstration(
-            f"drawn_{k}",
+            f"free_{k}",
             np.asarray(kept[k, generator.integers(kept.shape[1])], float),
             Task(evidence.tasks.start[k], evidence.tasks.goal[k]),
         )
@@ -67,7 +69,7 @@ def curves(
             for k in range(num_subsets):
                 chosen = generator.permutation(len(real))[:size]
                 of_real = infer(evidence, [real[d] for d in chosen]).posterior
-                free = drawn(evidence, seed=int(generator.integers(2**31)))
+                free = unconstrained(evidence, seed=int(generator.integers(2**31)))
                 of_free = infer(evidence, [free[d] for d in chosen]).posterior
                 values[:, k] = (
                     (of_real.hypotheses[truth], of_real.error[truth]),
@@ -91,7 +93,7 @@ def curves(
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """Return a table, a row a number of demonstrations."""
+    """Return a table with a row for each number of demonstrations."""
     made = Table(title="median (middle 80 % of subsets) ± standard error by the samples")
     made.add_column("demonstrations", justify="right")
     for name in STYLES:
@@ -126,14 +128,14 @@ def draw_figure(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    """Run it."""
+    """Measure, print the table and draw the curves."""
     parser = argparse.ArgumentParser(description="Posteriors on real demonstrations.")
     parser.add_argument("--data", type=Path, required=True, help="folder, see above")
     parser.add_argument("--torque", default="10", help="max_torque of the pendulum")
     parser.add_argument("--truth", type=int, default=55, help="index of the true cell")
-    parser.add_argument("--subsets", type=int, default=200, help="random ones of each size")
+    parser.add_argument("--subsets", type=int, default=200, help="random subsets of each size")
     parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
-    parser.add_argument("--work", type=Path, help="folder that keeps what was sampled")
+    parser.add_argument("--work", type=Path, help="folder that keeps samples")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--figure", type=Path)

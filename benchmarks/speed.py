@@ -1,10 +1,10 @@
-"""How fast it is: start, inference, judging, rollouts, the grid's backward pass, training.
+"""Time start, inference, judging, rollouts, the grid's backward pass, and training.
 
     python benchmarks/speed.py [--json]
 
-Every figure is taken in this one run, on as many cores as the machine has, and printed with the
-load of the machine, since other jobs share it. With Stable-Baselines3 installed (`make benchmark`)
-the same training and rollouts are done by it in the same run.
+All figures are measured in one run, on all cores of the machine, and printed with the load of the
+machine, since other jobs may share it. With Stable-Baselines3 installed (`make benchmark`), the
+same run also times its training and rollouts.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from rich.table import Table
 from swerve import PPO, Distilled, Grid, SoftValue, Task, grid, learn, sample
 from swerve.cli.demo import FOLDER, PROBLEM
 from swerve.problem.loading import load_problem
-from swerve.sampling.one_task import CHUNK
+from swerve.sampling.one_task import MAX_CHUNK
 from swerve.simulation.trajectory import rollout
 from swerve.solvers.grid.grid import GridNominal
-from swerve.solvers.trained.ppo_training import Trainer
+from swerve.solvers.trained.ppo import PPOTrainer
 from swerve.solvers.trained.training import TrainedNominal
 
 REPEATS = 5
@@ -107,7 +107,7 @@ def backward_pass() -> dict[str, float]:
 
 
 def untrained() -> dict[str, TrainedNominal]:
-    """Return networks that have learned next to nothing, which are as quick as others."""
+    """Return networks that are hardly trained; they are as fast as trained ones."""
     problem = load_problem(PROBLEM)
     sizes = {"num_steps": 1, "num_lanes": 8, "segment": 8}
     soft_value = SoftValue(**sizes).learn(problem)
@@ -130,13 +130,13 @@ def rollouts() -> dict[str, float]:
         chunks = 32 if name in ("PPO", "soft value, distilled") else 4
 
         def one(seed: int, policy: Any = policy) -> None:
-            drawn = rollout(problem, policy, start, goal, jax.random.key(seed), CHUNK)
-            jax.block_until_ready(drawn.total_reward)
+            found = rollout(problem, policy, start, goal, jax.random.key(seed), MAX_CHUNK)
+            jax.block_until_ready(found.total_reward)
 
         one(0)
         with ThreadPoolExecutor(workers) as pool:
             best = seconds(lambda c=chunks, o=one: list(pool.map(o, range(c))), 3)
-        figures[f"rollouts, {name} (steps/s)"] = chunks * CHUNK * 300 / best
+        figures[f"rollouts, {name} (steps/s)"] = chunks * MAX_CHUNK * 300 / best
     return figures
 
 
@@ -156,7 +156,7 @@ def new_task() -> dict[str, float]:
 def training() -> dict[str, float]:
     """Time PPO with its default settings, learning included [steps/s]."""
     settings = PPO(num_steps=20_000_000)
-    trainer = Trainer(load_problem(PROBLEM), settings, 0)
+    trainer = PPOTrainer(load_problem(PROBLEM), settings, 0)
     iterations = settings.chunk_iterations
     state, _ = jax.block_until_ready(trainer.run(trainer.initial_state(), iterations))
     best = seconds(lambda: jax.block_until_ready(trainer.run(state, iterations)), 4)

@@ -1,23 +1,23 @@
-"""How fast Stable-Baselines3 does the job that Swerve's PPO does, on this machine.
+"""Time Stable-Baselines3 at the job of Swerve's PPO, on the same machine.
 
 The job is the goal-conditioned pendulum of the paper's section IV with torques in [-10, 10],
 
     theta'' = sin(theta) + u,    R = -80 |s_T - goal|^2 - sum_t 0.05 u_t^2 dt,
 
-300 Runge-Kutta steps of 1/60 s, start and goal anew in each episode, the observation that Swerve's
-networks see, a 64 x 64 tanh policy and a 64 x 64 value. Simulation is plain Python on floats,
-which is the fastest there is for one environment at a time.
+300 Runge-Kutta steps of 1/60 s, a new start and goal in each episode, the observation of Swerve's
+networks, a 64 x 64 tanh policy and a 64 x 64 value. Simulation is plain Python on floats, the
+fastest way for one environment at a time.
 
-What is alike is the work of a step, not the objective. Swerve pays -log pi(a | s) / beta as part
-of the reward, so that the entropy of the future counts in returns and advantages, as the nominal
-distribution requires. Stable-Baselines3 offers `ent_coef`, a bonus on the entropy at the states
-visited that no return includes: the nearest it has, and what is used here, with the same weight
-1 / beta. Its policy is therefore not compared with the nominal distribution, only its speed.
+The work of a step is the same, the objective is not. Swerve pays -log pi(a | s) / beta as part of
+the reward, so that the entropy of the future counts in returns and advantages, as the nominal
+distribution requires. Stable-Baselines3 offers only `ent_coef`, a bonus on the entropy at the
+visited states that no return includes; it is used here with the same weight 1 / beta. So only the
+speed is compared, not the policy.
 
-Beside steps per second of the clock, steps per second of processor time are given: with one thread
-that is about what the clock would show on a machine with nothing else to do. With two, torch waits
-for the slower one at every layer, which on a busy machine is most of the time (and then tells
-nothing of the library), so one is the default.
+Steps per second of processor time are given too: with one thread they are about equal to steps per
+second of the clock on an idle machine. With two threads, torch waits for the slower one at every
+layer, on a busy machine most of the time, which says nothing about the library. So one thread is
+the default.
 
 Run it: python benchmarks/stable_baselines.py [--num-threads 2] [--batch-size 300] ...
 """
@@ -77,7 +77,7 @@ def terminal_reward(theta: float, omega: float, goal: tuple[float, float]) -> fl
 
 
 def observe(theta: float, omega: float, step: int, goal: tuple[float, float]) -> np.ndarray:
-    """Return [10] what the networks see: state, time to go, goal, difference to the goal."""
+    """Return the observation [10]: state, time to go, goal, difference to the goal."""
     to_go = (NUM_STEPS - step) / NUM_STEPS
     return np.array(
         (
@@ -97,7 +97,7 @@ def observe(theta: float, omega: float, step: int, goal: tuple[float, float]) ->
 
 
 def check_installed() -> None:
-    """Raise ModuleNotFoundError, saying what to do, unless everything compared with is there."""
+    """Raise ModuleNotFoundError, with advice, unless all compared libraries are installed."""
     for name in ("gymnasium", "torch", "stable_baselines3"):
         if importlib.util.find_spec(name) is None:
             raise ModuleNotFoundError(
@@ -189,7 +189,7 @@ def measure(
       num_rollout_environments: environments that sampling steps one after the other.
       num_rollouts: episodes sampled, rounded up to a multiple of those environments.
       num_threads: threads that torch may use.
-      seed: of the networks, tasks and actions.
+      seed: seed of the networks, tasks and actions.
     Returns:
       For `training` and for `rollout` (which only predicts): `_steps` measured over,
       `_steps_per_second` by the clock and `_steps_per_processor_second` of all threads together;

@@ -1,16 +1,15 @@
-"""How far soft value networks get where no grid fits: the car and the double pendulum.
+"""Measure soft value networks where no grid fits: the car and the double pendulum.
 
     python benchmarks/systems.py [--system car] [--steps 20000000] [--work DIR] [--json]
 
-For each system two tables, and a third for the car. The first is about the system itself, on
-tasks drawn from it: least and median ESS of importance weights as a share of the trajectories,
-the largest KL(pi || pi_0) by their own log Z_0 [nats], the largest difference between any two of
-the 20 islands' log Z_0 by sequential Monte Carlo [nats], and the time to learn and to sample [s].
-The second is about a coarse version of 8 steps, small enough to enumerate all A^8 action
-sequences: the errors of log Z_0 [nats] and of the worst violation probability, and the exact KL.
-The third is about the beta that the paper drives the car at, where rewards span 100,000 nats,
-reached by tempering from the beta that was learned for: what is left of the trajectories of one
-task, and what the verdict on them is.
+Two tables are printed for each system, and a third for the car. The first measures the system
+itself, on tasks sampled from its MDP: least and median ESS of importance weights as a share of the
+trajectories, the largest KL(pi || pi_0) by their own log Z_0 [nats], the largest difference between
+any two of the 20 islands' log Z_0 by sequential Monte Carlo [nats], and the time to learn and to
+sample [s]. The second measures a coarse version of 8 steps, small enough to enumerate all A^8
+action sequences: the errors of log Z_0 [nats] and of the worst violation probability, and the exact
+KL. The third measures the paper's beta for the car, where rewards span 100,000 nats, reached by
+tempering from the beta of the nominal: the effective trajectories of one task, and the verdict.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ NUM_TASKS = 8
 COARSE_STEPS = 2_000_000
 NUM_TEMPERED = 1_000
 TITLES = (
-    "soft values, tasks drawn from the system",
+    "soft values, tasks sampled from the system",
     "soft values against enumeration",
     "what tempering leaves",
 )
@@ -58,12 +57,12 @@ class System(NamedTuple):
     """A system and its coarse version.
 
     Attributes:
-      name: of the shipped problem.
-      coarse: the MDP with 8 long steps.
-      beta: of the coarse version.
-      task: of the coarse version.
-      explore: share of the lanes that begin anywhere, see `SoftValue`.
-      sharp: a beta to reach by tempering, or None.
+      name: name of the shipped problem.
+      coarse: the coarse version, an MDP with 8 long steps.
+      beta: beta of the coarse version.
+      task: task of the coarse version.
+      explore: share of the lanes that begin at any state, see `SoftValue`.
+      sharp: beta to reach by tempering; None for none.
     """
 
     name: str
@@ -87,7 +86,7 @@ SYSTEMS = (
 
 
 def learned(problem: Problem, solver: SoftValue, file: Path | None) -> tuple[Nominal, float | None]:
-    """Return the nominal distribution, and the time it took to learn [s] if that was all here."""
+    """Return the nominal, and the time to learn [s]; None if a part was learned before."""
     if file is None:
         began = time.perf_counter()
         return learn(problem, solver, progress=True), time.perf_counter() - began
@@ -106,7 +105,7 @@ def learned(problem: Problem, solver: SoftValue, file: Path | None) -> tuple[Nom
 
 
 def measure(system: System, nominal: Nominal, seconds: float | None, num: int) -> dict[str, Any]:
-    """Return figures about a system."""
+    """Return the row of a system in the first table."""
     tasks = draw_tasks(nominal.problem, NUM_TASKS)
     weighed = sample(nominal, tasks, num, method="importance", progress=True)
     began = time.perf_counter()
@@ -125,7 +124,7 @@ def measure(system: System, nominal: Nominal, seconds: float | None, num: int) -
 
 
 def measure_tempered(system: System, nominal: Nominal, num: int) -> dict[str, Any]:
-    """Return what is left of the trajectories of one task at a sharp beta."""
+    """Return the row of a system in the third table, at its sharp beta."""
     task = draw_tasks(nominal.problem, 1)
     began = time.perf_counter()
     row = {"system": f"{system.name} at beta {system.sharp:g}", "trajectories": num}
@@ -143,7 +142,7 @@ def measure_tempered(system: System, nominal: Nominal, num: int) -> dict[str, An
 
 
 def measure_coarse(system: System, num: int) -> dict[str, Any]:
-    """Return how far the coarse version is from enumeration."""
+    """Return the row of a system in the second table: its errors against enumeration."""
     full = load_problem(system.name)
     problem = dataclasses.replace(full, mdp=system.coarse, beta=system.beta)
     exact = sample(learn(problem, "enumeration"), system.task)
@@ -175,7 +174,7 @@ def main() -> None:
     parser.add_argument("--system", choices=[system.name for system in SYSTEMS])
     parser.add_argument("--steps", type=int, help="environment steps; the solver's default")
     parser.add_argument("--samples", type=int, default=10_000, help="trajectories a task")
-    parser.add_argument("--work", type=Path, help="folder that keeps what was learned")
+    parser.add_argument("--work", type=Path, help="folder that keeps nominals")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     settings = {} if arguments.steps is None else {"num_steps": arguments.steps}

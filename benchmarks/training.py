@@ -1,15 +1,15 @@
-"""How fast training gets near pi_0: soft values and PPO, for the same time on the same machine.
+"""Measure how fast training approaches pi_0: soft values and PPO, for the same time.
 
     python benchmarks/training.py --data DIR [--seconds 600] [--torque 10] [--every 4]
                                   [--samples 4000] [--json] [--figure FILE]
 
-DIR is laid out as for accuracy.py. Each solver is trained for about --seconds of its own, one after
-the other, without compiling: a few iterations are timed first, since learning rates fall with the
-share of the steps that is done. After every few chunks, outside the clock, the tasks of the
-demonstrations are sampled, and a row is printed: wall time [s], environment steps, KL(pi || pi_0)
-[nats] with log Z_0 from the grid solver, and the largest error over cells of importance-weighted
-violation probabilities against DIR's exact ones, both at the median and at the worst task. Noise of
-the sampling and of the exact file is in the errors.
+DIR has the files of accuracy.py. Each solver trains for about --seconds, one after the other,
+without the time to compile. A few iterations are timed first to choose the number of steps, since
+learning rates fall with the share of the steps that is done. After every few chunks, outside the
+clock, the tasks of the demonstrations are sampled and a row is printed: wall time [s], environment
+steps, KL(pi || pi_0) [nats] with log Z_0 from the grid solver, and the largest error over cells of
+importance-weighted violation probabilities against DIR's exact ones, both at the median and at the
+worst task. The errors include the sampling noise of both.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ from swerve.evidence.estimators import kl_divergence
 from swerve.problem.loading import load_problem
 from swerve.reproduce.pendulum.measure import read_violation
 from swerve.solvers.trained.history_plot import LEAST, finish, log_scale, time_unit
-from swerve.solvers.trained.run import Progress, Run
-from swerve.solvers.trained.training import NUM_CHUNKS, TrainedNominal, TrainingSolver
+from swerve.solvers.trained.probe import Progress
+from swerve.solvers.trained.run import Run
+from swerve.solvers.trained.settings import NUM_CHUNKS
+from swerve.solvers.trained.training import TrainedNominal, TrainingSolver
 
 SOLVERS: tuple[TrainingSolver, ...] = (SoftValue(), PPO())
-TIMED = 20  # iterations that are timed, after as many others
+TIMED = 20  # iterations to time, after as many to warm up
 MARKS: tuple[dict[str, Any], ...] = (
     {"color": "#0072b2", "marker": "o"},
     {"color": "#d55e00", "marker": "s"},
@@ -48,11 +50,11 @@ PANELS = {
 
 
 class Truth(NamedTuple):
-    """What is known exactly.
+    """Exact answers.
 
     Attributes:
       problem: the pendulum.
-      tasks: K, those of the demonstrations.
+      tasks: [K] tasks of the demonstrations.
       violation: [K, H] exact violation probabilities.
       log_partition: [K] log Z_0, nats.
     """
@@ -64,7 +66,7 @@ class Truth(NamedTuple):
 
 
 def read_truth(folder: Path, torque: str) -> Truth:
-    """Read the exact probabilities of a folder and work out log Z_0 of its tasks."""
+    """Read the exact probabilities of a folder and compute log Z_0 of its tasks."""
     path = folder / f"exact_violation_torque{torque}.csv"
     if not path.exists():
         raise SystemExit(f"{folder}: no {path.name}")
@@ -82,18 +84,18 @@ def exact_log_partition(problem: Problem, tasks: Task) -> np.ndarray:
 
 
 def with_steps(solver: TrainingSolver, num_steps: float) -> TrainingSolver:
-    """Return the same solver that trains for another number of steps."""
+    """Return the solver with another number of steps."""
     changed = {"num_steps": max(1, round(num_steps))}
     return dataclasses.replace(solver, **changed)  # pyright: ignore[reportArgumentType]
 
 
 def new_run(solver: TrainingSolver, truth: Truth) -> Run:
-    """Return a run of training that has not begun."""
+    """Return a new run of training."""
     return Run(solver, solver.trainer(truth.problem, 0), truth.problem, truth.tasks, 0, None)
 
 
 def steps_per_second(solver: TrainingSolver, truth: Truth) -> float:
-    """Return how fast a solver trains here."""
+    """Return the environment steps per second of a solver on this machine."""
     chunk = TIMED * solver.num_lanes * solver.segment
     run = new_run(with_steps(solver, chunk * NUM_CHUNKS), truth)
     before, after = run.advance(), run.advance()
@@ -114,7 +116,7 @@ def measure(solver: TrainingSolver, truth: Truth, every: int, num: int) -> Itera
 
 
 def row(nominal: TrainedNominal, progress: Progress, truth: Truth, num: int) -> dict[str, Any]:
-    """Return how far from the truth a policy is."""
+    """Return the errors of a policy."""
     evidence = sample(nominal, truth.tasks, num, method="importance", seed=1)
     pairs = zip(evidence.importance_log_weight, truth.log_partition, strict=True)
     kl = [kl_divergence(*pair) for pair in pairs]
