@@ -7,7 +7,7 @@ A page shows a table between two comments,
     <!-- from docs/results/NAME/TABLE.md -->
     <!-- end -->
 
-and what stands between them is replaced by the file. The pages that were out of date are named.
+and the file replaces the text between the comments. The script prints the pages that it changed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def pages() -> list[Path]:
 
 
 def refreshed(page: str) -> str:
-    """Return a page with every table as it is in its file."""
+    """Return a page with every table replaced by its file."""
     return BLOCK.sub(lambda found: found[1] + (ROOT / found[2]).read_text() + found[3], page)
 
 

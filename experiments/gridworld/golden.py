@@ -2,9 +2,9 @@
 
     python experiments/gridworld/golden.py FILE
 
-FILE is a golden.json: a world, demonstrations, and what was picked from the first 1, 2, ... of
-them. Prints for example `95 of 95 sequences, largest KL error 3e-14`; the exit status is 1 if a
-sequence of picks differs, or a KL divergence by more than 1e-9.
+FILE is a golden.json: a world, demonstrations, and the constraints picked from the first 1, 2, ...
+of them. The script prints for example `95 of 95 sequences, largest KL error 3e-14`; the exit status
+is 1 if a sequence of picks differs, or a KL divergence by more than 1e-9.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from pathlib import Path
 
 from swerve.reproduce.gridworld.golden import compare, read_golden
 
-TOLERANCE = 1e-9  # nats
+TOLERANCE = 1e-9  # nats: largest difference of a KL divergence, for rounding
 
 
 def main() -> None:
     """Compare every sequence of picks."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("file", type=Path, help="a golden.json")
     golden = read_golden(parser.parse_args().file)
     same, number, error = compare(golden)
