@@ -1,3 +1,5 @@
+"""`swerve watch`: learns once, then starts without JAX."""
+
 from __future__ import annotations
 
 import io
@@ -7,106 +9,14 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.command import SOLVER, Run
-from support.monitors import Known
-from support.synthetic import TASKS, make_evidence
 
-from swerve import Evidence, Task
-from swerve.cli.watch import Watch, watch
+from swerve import Evidence
 from swerve.monitoring import foresee as foresight_training
-
-START = TASKS.start[0].tolist()
-NAMED = {f"demo_{k}": Task(TASKS.start[k], TASKS.goal[k]) for k in range(3)}
-
-
-def make_watch(tasks: dict[str, Task] | None = None) -> Watch:
-    evidence = make_evidence()
-    return Watch(evidence, Known(evidence), tasks or {"only": NAMED["demo_0"]})
-
-
-def test_a_state_is_answered_by_what_it_tells() -> None:
-    watched = make_watch()
-    state = {"theta": START[0], "x": START[1], "t": 0.0, "id": "a"}
-    first = watched.answer(json.dumps(state))
-    assert first.keys() == {"id", "t", "struck_out", "none", "likely", "flags"}
-    assert first["id"] == "a"
-    assert first["struck_out"] == [0]
-    assert 0.0 < first["none"] < 1.0
-    probabilities = [row["probability"] for row in first["likely"]]
-    assert probabilities == sorted(probabilities, reverse=True)
-    again = watched.answer(json.dumps(state))
-    assert again["flags"] == ["repeated"]
-    assert again["struck_out"] == []
-    assert watched.answer(json.dumps({"end": True, "id": "a"}))["end"]
-
-
-def test_an_array_is_a_state_too() -> None:
-    watched = make_watch()
-    as_array = watched.answer(json.dumps(START))
-    as_object = make_watch().answer(json.dumps({"theta": START[0], "x": START[1]}))
-    assert as_array == as_object
-
-
-def test_demonstrations_are_watched_side_by_side() -> None:
-    watched = make_watch(NAMED)
-    for k in range(3):
-        theta, x = TASKS.start[k].tolist()
-        answer = watched.answer(json.dumps({"theta": theta, "x": x, "id": f"demo_{k}"}))
-        assert answer["flags"] == []
-        assert len(answer["struck_out"]) == (k < 3 and x < 9.0)
-    assert watched.answer('{"end": true, "id": "demo_1"}')["id"] == "demo_1"
-    assert "no state of it" in watched.answer('{"end": true, "id": "demo_1"}')["error"]
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("{", r"one JSON object or array a line, got '{' \(Expecting property name"),
-        ('{"theta": 1', "one JSON object or array a line"),
-        ("3", "expected an object or an array, got 3"),
-        ("[1.0]", r"expected 2 numbers, got \[1.0\]"),
-        ('{"theta": 1.0}', "expected the states theta, x, no x came"),
-        ('{"theta": "a", "x": 1.0}', r"expected numbers, got \['a', 1.0\]"),
-        ('{"theta": null, "x": 1.0}', "expected numbers"),
-        ('{"theta": true, "x": 1.0}', "expected numbers"),
-        ('{"theta": 1.0, "x": 1.0, "t": "soon"}', "expected numbers"),
-        ('{"theta": NaN, "x": 1.0}', "expected finite numbers, got theta = nan"),
-        ('{"theta": 1.0, "x": 1.0, "t": -1}', "expected seconds since the start"),
-        ('{"end": true, "id": "b"}', "id 'b': ended, but no state of it has come"),
-        ('{"end": "false", "theta": 1.0, "x": 1.0}', "true or false as \"end\", got 'false'"),
-        ('{"theta": 1.0, "x": 1.0, "time": 0.1}', "t, id and end, got also 'time': the line is le"),
-        (f'{{"theta": 1{400 * "0"}, "x": 1.0}}', "expected 2 numbers"),
-        (f'{{"theta": 1.0, "x": 1.0, "t": 1{400 * "0"}}}', "expected seconds since the start"),
-        (100_000 * "[", "one JSON object or array a line, got one too deep"),
-    ],
-)
-def test_a_bad_line_is_answered_and_the_stream_goes_on(line: str, message: str) -> None:
-    out = io.StringIO()
-    watch([line + "\n", "\n", json.dumps(START) + "\n"], make_watch().answer, out)
-    bad, good = map(json.loads, out.getvalue().splitlines())
-    with pytest.raises(ValueError, match=message):
-        raise ValueError(bad["error"])
-    assert "error" not in good
-
-
-def test_a_null_id_is_none() -> None:
-    watched = make_watch()
-    assert watched.answer(json.dumps({"theta": START[0], "x": START[1], "id": None}))["id"] == ""
-    assert watched.answer('{"end": true}')["id"] == ""
-
-
-def test_bad_options_are_refused_before_the_first_line() -> None:
-    evidence = make_evidence()
-    with pytest.raises(ValueError, match="tolerance: expected the probability"):
-        Watch(evidence, Known(evidence), NAMED, tolerance=2.0)
-
-
-def test_an_unknown_id_is_refused_where_there_are_several_tasks() -> None:
-    answer = make_watch(NAMED).answer(json.dumps(START))
-    assert answer["error"] == "id '': expected that of one of 3 tasks, such as 'demo_0'"
 
 
 def test_hypotheses_about_actions_are_refused_before_the_work(run: Run, tmp_path: Path) -> None:
@@ -121,6 +31,30 @@ def test_hypotheses_about_actions_are_refused_before_the_work(run: Run, tmp_path
     assert not list((tmp_path / "work").glob("*.evidence"))
 
 
+def lines_of(demonstration: Path) -> list[str]:
+    """Return the states of a demonstration file, and its end, as lines of JSON."""
+    states = np.loadtxt(demonstration, delimiter=",", skiprows=1)[:, :3]
+    lines = [
+        json.dumps({"t": t, "theta": theta, "omega": omega, "id": demonstration.stem})
+        for t, theta, omega in states.tolist()
+    ]
+    return [*lines, json.dumps({"end": True, "id": demonstration.stem})]
+
+
+def answers_without_jax(arguments: list[object], text: bytes) -> list[dict[str, Any]]:
+    """Return what the command answers in a process that cannot import JAX."""
+    code = "import sys; sys.modules['jax'] = None; from swerve.cli.app import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        input=text,
+        capture_output=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
 def test_the_command_learns_once_and_then_starts_without_jax(
     run: Run,
     robot: str,
@@ -131,12 +65,7 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     quick = partial(foresight_training.foresee, num_trajectories=256, num_updates=20)
     monkeypatch.setattr(foresight_training, "foresee", quick)
     work, tasks = tmp_path / "work", demonstrations[0].parent / "tasks.csv"
-    states = np.loadtxt(demonstrations[0], delimiter=",", skiprows=1)[:, :3]
-    name = demonstrations[0].stem
-    lines = [
-        json.dumps({"t": t, "theta": theta, "omega": omega, "id": name})
-        for t, theta, omega in states.tolist()
-    ] + [json.dumps({"end": True, "id": name})]
+    lines = lines_of(demonstrations[0])
     text = "\n".join(lines) + "\n"
     arguments = ["watch", robot, "--work", work, "--tasks", tasks]
     monkeypatch.setattr(sys, "stdin", io.StringIO(text))
@@ -157,27 +86,18 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     (path,) = work.glob("*.foresight")
     assert path.stem == next(work.glob("*.evidence")).stem
 
-    code = "import sys; sys.modules['jax'] = None; from swerve.cli.app import main; main()"
-    again = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        input=b"\xff\n" + text.encode(),
-        capture_output=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        check=False,
-    )
-    assert again.returncode == 0, again.stderr
-    broken, *others = map(json.loads, again.stdout.splitlines())
+    broken, *others = answers_without_jax(arguments, b"\xff\n" + text.encode())
     assert "expected one JSON object or array a line" in broken["error"]
     assert broken["line"] == 1
     assert others == answers
+    check_last_answer(run, [robot, demonstrations[0], "--tasks", tasks, "--work", work], answers)
+    assert Evidence.load(next(work.glob("*.evidence"))).num_tasks == len(demonstrations)
 
-    # the last answer is that of infer
-    status, out, _ = run(
-        "infer", robot, demonstrations[0], "--tasks", tasks, "--work", work, "--json",
-        "--no-resolve",
-    )  # fmt: skip
+
+def check_last_answer(run: Run, arguments: list[object], answers: list[dict[str, Any]]) -> None:
+    """Assert that the answer at the end of a demonstration is that of `swerve infer`."""
+    status, out, _ = run("infer", *arguments, "--json", "--no-resolve")
     assert status == 0
     ranked = {row["index"]: row["log_likelihood"] for row in json.loads(out)["ranking"]}
     for row in answers[-1]["likely"]:
         assert row["nats"] == pytest.approx(ranked[row["index"]], abs=1e-5)
-    assert Evidence.load(next(work.glob("*.evidence"))).num_tasks == len(demonstrations)

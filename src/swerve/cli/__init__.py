@@ -1,1 +1,1 @@
-"""Package."""
+"""The `swerve` command: one file a command, thin layers over the library."""

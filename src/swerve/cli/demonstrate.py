@@ -1,15 +1,16 @@
-"""The command that makes demonstrations."""
+"""The command that makes demonstrations: `swerve demonstrate`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 import swerve
-from swerve.cli.options import Problem, Tasks, open_work, say
-
-NUM = 10  # demonstrations, unless told otherwise
+from swerve.cli.options import ProblemText, TasksFile, open_work, say
 
 if TYPE_CHECKING:
     from swerve.base.space import Task
@@ -17,20 +18,62 @@ if TYPE_CHECKING:
     from swerve.demonstrations.demonstration import Demonstration
     from swerve.demonstrators.optimal_control import Optimum
 
+NUM = 10  # demonstrations, unless --num or --tasks say otherwise
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ControlOptions:
+    """Options of demonstrations by optimal control alone."""
+
+    max_action: Annotated[
+        float | None,
+        Parameter(
+            help="Of optimal-control: largest action in either direction, inf for any. [default: "
+            "the range of the MDP's actions]"
+        ),
+    ] = None
+    num_steps: Annotated[
+        int | None,
+        Parameter(
+            help="Of optimal-control: steps to the last state. [default: the horizon of the MDP]"
+        ),
+    ] = None
+    goal_tolerance: Annotated[
+        float | None,
+        Parameter(
+            help="Of optimal-control: how far from the goal a demonstration may end. [default: "
+            "0.05]"
+        ),
+    ] = None
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of `swerve.optimal_control` that these options ask for."""
+        if self.max_action is not None and not self.max_action > 0.0:
+            raise ValueError(f"--max-action: expected a number > 0, got {self.max_action}")
+        limits = None if self.max_action is None else (-self.max_action, self.max_action)
+        found = {
+            "limits": limits,
+            "num_steps": self.num_steps,
+            "goal_tolerance": self.goal_tolerance,
+        }
+        return {name: value for name, value in found.items() if value is not None}
+
+
+NO_OPTIONS = ControlOptions()
+
 
 def demonstrate(
-    problem: Problem,
+    problem: ProblemText,
     /,
     *,
     constraint: int,
     out: Path,
     num: int | None = None,
-    tasks: Tasks = None,
+    tasks: TasksFile = None,
     by: Literal["boltzmann", "optimal-control"] = "boltzmann",
     solver: str | None = None,
-    max_action: float | None = None,
-    num_steps: int | None = None,
-    goal_tolerance: float | None = None,
+    control: ControlOptions = NO_OPTIONS,
     seed: int = 0,
 ) -> None:
     """Make demonstrations that obey one of the hypotheses.
@@ -38,33 +81,18 @@ def demonstrate(
     Args:
       constraint: Index of the hypothesis to obey.
       out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
-      num: How many, of tasks drawn from the MDP. [default: 10, or one for each of --tasks]
-      by: boltzmann draws from pi_c, what the model holds a demonstrator to do; optimal-control
-        takes the best path, of any actions rather than those of the MDP, that keeps out, and needs
-        the extra 'control' (CasADi, IPOPT).
+      num: How many, of tasks sampled from the MDP. [default: 10, or one for each of --tasks]
+      by: boltzmann samples pi_c, the distribution that the model expects of demonstrators.
+        optimal-control takes the best path that avoids the constraint, by any actions rather than
+        those of the MDP alone; it needs the extra 'control' (CasADi, IPOPT).
       solver: Of boltzmann: grid, tabular or soft-value, with settings as in 'grid?num_points=81'.
         [default: tabular if the MDP is, else grid]
-      max_action: Of optimal-control: largest action in either direction, inf for any.
-        [default: the range of the MDP's actions]
-      num_steps: Of optimal-control: steps to the last state. [default: the horizon of the MDP]
-      goal_tolerance: Of optimal-control: how far from its goal one may end. [default: 0.05]
     """
-    from swerve.base.store import check_writable
+    from swerve.base.files import check_writable
     from swerve.demonstrations.demonstration import new_files, read_tasks, write_demonstrations
 
-    if tasks is not None and num is not None:
-        raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
-    if num is not None and num < 1:
-        raise ValueError(f"--num: expected at least 1, got {num}")
-    sought = {"limits": _limits(max_action), "num_steps": num_steps}
-    sought |= {} if goal_tolerance is None else {"goal_tolerance": goal_tolerance}
-    if by == "boltzmann" and any(value is not None for value in sought.values()):
-        raise ValueError(
-            "--max-action, --num-steps and --goal-tolerance are for --by optimal-control: leave "
-            "them out"
-        )
-    if by == "optimal-control" and solver is not None:
-        raise ValueError("--solver is for --by boltzmann: leave one of them out")
+    sought = control.arguments()
+    _check_choices(num, tasks, by, solver, sought)
     check_writable(out)
     job = open_work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
@@ -75,16 +103,32 @@ def demonstrate(
     new_files(out, names)  # before the work
     batch = None if given is None else swerve.Task.stack(list(given.values()))
     if by == "boltzmann":
-        made = _drawn(job.problem, forbidden, batch, names, solver, seed)
+        made = _boltzmann(job.problem, forbidden, batch, names, solver, seed)
     else:
         made = _optimal(job.problem, forbidden, batch, names, sought, seed)
-    write_demonstrations(
-        out, made, record.space, action_names=record.action_names, goal_names=record.goal_names
-    )
+    columns = {"action_names": record.action_names, "goal_names": record.goal_names}
+    write_demonstrations(out, made, record.space, **columns)
     say(f"wrote {len(made)} demonstrations that avoid {forbidden.name} to {out}")
 
 
-def _drawn(
+def _check_choices(
+    num: int | None, tasks: Path | None, by: str, solver: str | None, sought: dict[str, Any]
+) -> None:
+    """Raise ValueError if options do not go together."""
+    if tasks is not None and num is not None:
+        raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
+    if num is not None and num < 1:
+        raise ValueError(f"--num: expected at least 1, got {num}")
+    if by == "boltzmann" and sought:
+        raise ValueError(
+            "--max-action, --num-steps and --goal-tolerance are for --by optimal-control: leave "
+            "them out"
+        )
+    if by == "optimal-control" and solver is not None:
+        raise ValueError("--solver is for --by boltzmann: leave one of them out")
+
+
+def _boltzmann(
     problem: swerve.Problem,
     forbidden: Constraint,
     tasks: Task | None,
@@ -92,7 +136,16 @@ def _drawn(
     solver: str | None,
     seed: int,
 ) -> list[Demonstration]:
-    """Return demonstrations drawn from pi_c, of these tasks or of some that the MDP draws."""
+    """Return demonstrations sampled from pi_c.
+
+    Args:
+      problem: the problem.
+      forbidden: the constraint c.
+      tasks: one for each name; None samples tasks from the MDP.
+      names: of the demonstrations.
+      solver: specification of the solver that learns pi_c, or None for the default.
+      seed: of the tasks and of the demonstrations.
+    """
     from swerve.problem.tasks import draw_tasks
 
     if tasks is None:
@@ -109,31 +162,33 @@ def _optimal(
     sought: dict[str, Any],
     seed: int,
 ) -> list[Demonstration]:
-    """Return demonstrations by optimal control, and print what was found."""
-    from swerve.demonstrators.optimal_control import SPARE, Search, first_optima, optimal_control
+    """Return demonstrations by optimal control, and print the optima that were found.
+
+    Args:
+      problem: the problem.
+      forbidden: the constraint to avoid.
+      tasks: one for each name; None samples tasks from the MDP.
+      names: of the demonstrations.
+      sought: arguments of `swerve.optimal_control`.
+      seed: of the tasks and of the guesses.
+    """
+    from swerve.demonstrators.optimal_control import SPARE, first_optima, optimal_control
+    from swerve.demonstrators.path_search import Search
     from swerve.problem.tasks import draw_tasks
 
     how = {"seed": seed, "progress": True}
     if tasks is None:
         num = len(names)
-        drawn = draw_tasks(problem, SPARE * num, avoid=[forbidden], seed=seed)
-        optima = first_optima(problem, forbidden, drawn, num, Search(**sought), **how)
+        candidates = draw_tasks(problem, SPARE * num, avoid=[forbidden], seed=seed)
+        optima = first_optima(problem, forbidden, candidates, num, Search(**sought), **how)
     else:
         optima = optimal_control(problem, forbidden, tasks, names=names, **sought, **how)
-    _say_of_optima(optima)
+    _print_optima(optima)
     return [optimum.demonstration for optimum in optima]
 
 
-def _limits(max_action: float | None) -> tuple[float, float] | None:
-    if max_action is None:
-        return None
-    if not max_action > 0.0:
-        raise ValueError(f"--max-action: expected a number > 0, got {max_action}")
-    return (-max_action, max_action)
-
-
-def _say_of_optima(optima: Sequence[Optimum]) -> None:
-    """Print what was found for each demonstration: local optima, the best taken."""
+def _print_optima(optima: Sequence[Optimum]) -> None:
+    """Print for each demonstration the best rewards and how many local optima were found."""
     print(f"{'demonstration':<16} {'reward':>10} {'next best':>10} {'local optima':>13}")
     for optimum in optima:
         runner_up = f"{optimum.rewards[1]:.4g}" if len(optimum.rewards) > 1 else "-"

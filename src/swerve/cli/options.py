@@ -1,4 +1,4 @@
-"""What the commands of `swerve` share: options, and the problem, files and tasks that they name."""
+"""Options that several commands share, and ways to open the problem, files and tasks they name."""
 
 from __future__ import annotations
 
@@ -9,34 +9,38 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from swerve.base.solver_kinds import solver_names
+
 if TYPE_CHECKING:
     from swerve.base.space import Task
-    from swerve.problem.problem import ProblemRecord
+    from swerve.problem.record import ProblemRecord
     from swerve.work.work import Work
 
-Problem = Annotated[
+# names of solvers that are sampled by importance unless another method is asked for
+BY_IMPORTANCE = ", ".join(solver_names(lambda kind: kind.default_method == "importance"))
+ProblemText = Annotated[
     str,
     Parameter(
         help="A shipped problem with its parameters, such as 'pendulum?max_torque=10', or "
         "path/to/file.py:name, or package.module:name."
     ),
 ]
-Tasks = Annotated[
+TasksFile = Annotated[
     Path | None,
     Parameter(help="CSV or Parquet file with columns demo, start_STATE..., goal_STATE..."),
 ]
-WorkFolder = Annotated[
+WorkPath = Annotated[
     Path | None, Parameter(help="Folder that keeps what was learned and sampled for the next call.")
 ]
 SolverName = Annotated[
     str | None,
     Parameter(
-        help="grid, soft-value, distilled, ppo, tabular, enumeration, discrete or soft-paths, with "
-        "settings as in 'ppo?num_steps=2e7'. [default: what the work folder holds, else tabular "
-        "where states are finitely many, grid for up to 3 states, else soft-value]"
+        help=f"One of {', '.join(solver_names())}, with settings as in 'ppo?num_steps=2e7'. "
+        "[default: what the work folder holds, else tabular where states are finitely many, grid "
+        "for up to 3 states, else soft-value]"
     ),
 ]
-Samples = Annotated[
+NumSamples = Annotated[
     int | None,
     Parameter(help="Trajectories for each task, for solvers that are sampled. [default: 10000]"),
 ]
@@ -44,7 +48,7 @@ Method = Annotated[
     str | None,
     Parameter(
         help="smc, importance or plain, for solvers that are sampled. "
-        "[default: smc, but importance for ppo]"
+        f"[default: smc, but importance for {BY_IMPORTANCE}]"
     ),
 ]
 Seed = Annotated[int | None, Parameter(help="Seed of everything random. [default: 0]")]
@@ -58,10 +62,10 @@ AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Choices:
-    """Options of how to learn and sample, of every command that may do either."""
+    """Options of every command that may learn or sample: how to do so."""
 
     solver: SolverName = None
-    samples: Samples = None
+    samples: NumSamples = None
     method: Method = None
     seed: Seed = None
 
@@ -99,11 +103,11 @@ class Judging:
 
 
 AS_USUAL = Judging()
-AS_BEFORE = Choices()  # nothing said: what the work folder holds, or the defaults
+AS_BEFORE = Choices()  # no option given: as the work folder records, else the defaults
 
 
 def open_work(problem: str, folder: Path | None, how: Choices = AS_BEFORE) -> Work:
-    """Return the work on a problem, in a folder if one is named."""
+    """Return the work on a problem, in a folder unless `folder` is None."""
     from swerve.work.settings import Settings
     from swerve.work.work import Work
 
@@ -112,10 +116,10 @@ def open_work(problem: str, folder: Path | None, how: Choices = AS_BEFORE) -> Wo
 
 
 def check_judging(record: ProblemRecord, judged: Judging) -> None:
-    """Make sure, before the work, that demonstrations can be judged as asked.
+    """Make sure, before the work, that demonstrations can be judged by these options.
 
     Raises:
-      ValueError: if an option is of the wrong kind or range, or hypotheses do not allow it.
+      ValueError: if an option is of the wrong kind or range, or a hypothesis does not allow it.
     """
     import numpy as np
 
@@ -131,7 +135,7 @@ def check_judging(record: ProblemRecord, judged: Judging) -> None:
 
 
 def read_files(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[Any]:
-    """Read demonstration files as the problem wants them."""
+    """Read demonstration files, with the states, actions and goals of the problem."""
     from swerve.demonstrations.demonstration import read_demonstrations
 
     if not paths:
@@ -148,7 +152,7 @@ def read_files(job: Work, paths: tuple[Path, ...], tasks: Path | None) -> list[A
 
 
 def asked_tasks(job: Work, demonstrations: list[Any], tasks: Path | None) -> Task | None:
-    """Return the tasks of the demonstrations, or else of the file, or else None."""
+    """Return the tasks of the demonstrations if there are any, else of the file, else None."""
     from swerve.base.space import Task
     from swerve.demonstrations.demonstration import read_tasks
 
@@ -160,5 +164,5 @@ def asked_tasks(job: Work, demonstrations: list[Any], tasks: Path | None) -> Tas
 
 
 def say(text: str) -> None:
-    """Print a line that is no result, to stderr."""
+    """Print a line to stderr; results alone go to stdout."""
     print(text, file=sys.stderr)

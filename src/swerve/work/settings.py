@@ -1,4 +1,4 @@
-"""How to learn and sample, as far as it is said."""
+"""How to learn and sample a problem: solver, seed, method and number of trajectories."""
 
 from __future__ import annotations
 
@@ -6,25 +6,27 @@ import dataclasses
 from typing import Any
 
 from swerve.base.arguments import whole_number
-from swerve.evidence.samples import EXACT, METHODS, NUM_KEPT, SMC_SOLVERS
-from swerve.problem.loading import Specification
+from swerve.base.solver_kinds import kind_named, solver_names
+from swerve.base.specification import Specification
+from swerve.evidence.samples import EXACT, METHODS, NUM_KEPT
 
-EXACT_SOLVERS = ("enumeration", "tabular", "discrete", "soft-paths")
+NUM_TRAJECTORIES = 10_000  # default N a task: resolves probabilities down to about 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How to learn and sample; None stands for what was last worked out with, or the default.
+    """How to learn and sample; None stands for the value used last in the folder, or the default.
 
     Attributes:
-      solver: a solver specification (default: `nominal.default_solver`).
+      solver: a solver specification (default: `learn.default_solver`).
       seed: of learning and sampling (default 0).
-      method: "smc" (default of solvers with a soft value), "importance" (of others that sample) or
-        "plain".
-      num_trajectories: N a task (default 10,000).
+      method: "smc" (default of solvers with a soft value), "importance" (default of other solvers
+        that are sampled) or "plain"; "exact" of solvers that give exact answers.
+      num_trajectories: N a task (default NUM_TRAJECTORIES).
 
     Raises:
-      ValueError: if there is no such method, or a number is out of range.
+      ValueError: if there is no such method, the method does not suit the solver, or a number is
+        out of range.
     """
 
     solver: str | None = None
@@ -35,21 +37,11 @@ class Settings:
     def __post_init__(self) -> None:
         if self.solver is not None:
             object.__setattr__(self, "solver", str(Specification.parse(self.solver)))
-        exact = _is_exact(self.solver)
-        if exact and self.method not in (None, EXACT):
-            raise ValueError(
-                f"method: solver {self.solver!r} gives exact answers, leave {self.method!r} out"
-            )
-        if self.method not in (None, *METHODS, *([EXACT] if exact else [])):
+            self._check_method_suits(self.solver)
+        is_exact = self.solver is not None and kind_named(self.solver).is_exact
+        if self.method not in (None, *METHODS, *([EXACT] if is_exact else [])):
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if self.method == "smc" and self.solver is not None:
-            name = Specification.parse(self.solver).target
-            if name not in SMC_SOLVERS:
-                raise ValueError(
-                    f"method: 'smc' needs a solver with a soft value ({', '.join(SMC_SOLVERS)}), "
-                    f"got {name!r}: use 'importance'"
-                )
-        if exact and self.num_trajectories not in (None, NUM_KEPT):
+        if is_exact and self.num_trajectories not in (None, NUM_KEPT):
             raise ValueError(
                 f"samples: solver {self.solver!r} gives exact answers, leave "
                 f"{self.num_trajectories} out"
@@ -59,41 +51,45 @@ class Settings:
         if self.seed is not None:
             whole_number(self.seed, "seed", 0)
 
+    def _check_method_suits(self, solver: str) -> None:
+        """Raise ValueError if a solver cannot be sampled by the method."""
+        kind = kind_named(solver)
+        if kind.is_exact and self.method not in (None, EXACT):
+            raise ValueError(
+                f"method: solver {solver!r} gives exact answers, leave {self.method!r} out"
+            )
+        if self.method == "smc" and not kind.has_soft_value:
+            names = ", ".join(solver_names(lambda kind: kind.has_soft_value))
+            raise ValueError(
+                f"method: 'smc' needs a solver with a soft value ({names}), got "
+                f"{Specification.parse(solver).target!r}: use 'importance'"
+            )
+
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Settings:
-        """Rebuild settings from JSON data, leaving out what is not known here."""
+        """Rebuild settings from JSON data, leaving out names that this version does not know."""
         names = {field.name for field in dataclasses.fields(cls)}
         return cls(**{name: value for name, value in data.items() if name in names})
 
     def completed(self, others: Settings) -> Settings:
-        """Return these settings, with those of others where there is none."""
+        """Return these settings, with the values of others where these have None.
+
+        A method, and the N of an exact answer, are not taken over from a solver of another kind.
+        """
         given = {name: value for name, value in vars(self).items() if value is not None}
         if self.solver is not None and others.solver is not None:
-            mine, theirs = _default_method(self.solver), _default_method(others.solver)
+            mine = kind_named(self.solver).default_method
+            theirs = kind_named(others.solver).default_method
             num = None if EXACT in (mine, theirs) else others.num_trajectories
             if mine != theirs:
                 others = Settings(seed=others.seed, num_trajectories=num)
         return dataclasses.replace(others, **given)
 
     def filled(self) -> Settings:
-        """Return these settings with the defaults where there is none; the solver is known."""
+        """Return these settings with the defaults where these have None; the solver is known."""
         assert self.solver is not None
-        method = _default_method(self.solver)
-        defaults = {"seed": 0, "method": method, "num_trajectories": 10_000}
-        if method == EXACT:
-            defaults["num_trajectories"] = NUM_KEPT
+        method = kind_named(self.solver).default_method
+        num = NUM_KEPT if method == EXACT else NUM_TRAJECTORIES
+        defaults = {"seed": 0, "method": method, "num_trajectories": num}
         given = {name: value for name, value in vars(self).items() if value is not None}
         return Settings(**defaults | given)
-
-
-def _is_exact(solver: str | None) -> bool:
-    """Return whether a solver, if one is named, gives exact answers."""
-    return solver is not None and _default_method(solver) == EXACT
-
-
-def _default_method(solver: str) -> str:
-    """Return how a solver is sampled unless something else is asked for."""
-    name = Specification.parse(solver).target
-    if name in EXACT_SOLVERS:
-        return EXACT
-    return "smc" if name in SMC_SOLVERS else "importance"

@@ -1,60 +1,46 @@
-"""The work folder: what one problem has cost so far, kept for the next call.
+"""Work on one problem: learn, sample and resolve whatever the work folder does not hold yet.
 
-    problem.json                                   the problem as data, hashes of the source files
-                                                   it came from, and the settings used last
-    <solver>.seed<S>.nominal                       what the solver learned
-    <solver>.seed<S>.<method>.<N>.evidence         what sampling it told
-    <solver>.seed<S>.<method>.<N>.foresight        what watching needs besides
-    <solver>.seed<S>.checkpoint                    training that is under way
-    <solver>.seed<S>.training.png                  a picture of how training went
-    outdated/                                      all this as it was before the problem changed
-
-Other settings make other files, so nothing is replaced. Settings that are left out are those with
-which something was last worked out. As long as none of the sources has changed, results are read
-without importing JAX or user code. When one has, whatever rests on it is moved aside before
-anything new is written. Several processes may work in one folder.
+Settings that are left out are those that the folder's record names, which were used last. As long
+as no source file of the problem has changed, results are read without importing JAX or user code.
+When one has changed, all results are moved aside before anything new is written. See `folder` for
+the files.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import shutil
 import time
 from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
-from urllib.parse import quote, unquote
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import swerve
-from swerve.base import store
+from swerve.base.phrases import some_names
+from swerve.base.solver_kinds import kind_named
 from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
-from swerve.evidence.samples import ADAPTING_SOLVERS, REWEIGHED
-from swerve.problem.loading import Specification, canonical_problem, file_hash, source_hashes
-from swerve.problem.problem import ProblemRecord
-from swerve.trust.verdicts import some_names
+from swerve.evidence.samples import REWEIGHED
+from swerve.work.folder import WorkFolder, missing_rows
 from swerve.work.settings import Settings
+from swerve.work.stages import ProblemInFolder
 
 if TYPE_CHECKING:
-    from swerve.inference.ranking import Inference
+    from swerve.inference.ranking import Ranking
+    from swerve.monitoring.foresight import Foresight
     from swerve.problem.problem import Problem
-    from swerve.solvers.learn import Nominal
+    from swerve.problem.record import ProblemRecord
+    from swerve.solvers.base import Nominal
 
-RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training.png")
-OUTDATED = "outdated"  # folder of what was there before the problem changed
-FORMAT = 3  # of problem.json
-NUM_PRIOR_TASKS = 8
-SAVE_INTERVAL = 60.0  # s between two saves while sampling
+NUM_PRIOR_TASKS = 8  # tasks sampled from the MDP for the ranking before any demonstration
+SAVE_INTERVAL = 60.0  # s between two saves while sampling: what an interruption may lose
 
 
 class Work:
-    """One problem's results, in a folder or, without one, in memory alone.
+    """One problem's results, in a folder or, without a folder, in memory alone.
 
     Args:
-      problem_text: a problem specification, see `specification.load_problem`.
+      problem_text: a problem specification, see `loading.load_problem`.
       folder: where results are kept, or None.
       settings: how to learn and sample.
       say: called with a line of text on what is found or done.
@@ -62,7 +48,7 @@ class Work:
 
     Raises:
       ValueError: if the folder holds the results of another problem.
-      store.StoreError: if a file in it is cut short, altered or of a newer version.
+      store.StoreError: if a file in the folder is cut short, altered or of a newer version.
     """
 
     def __init__(
@@ -75,36 +61,27 @@ class Work:
         progress: bool = False,
     ) -> None:
         self.problem_text = problem_text
-        self.folder = folder
         self.say = say
         self.progress = progress
+        self._folder = None if folder is None else WorkFolder(folder, problem_text)
         self._asked = settings or Settings()
-        self._last = Settings()  # of the folder
-        self._stored = self._read_record(say)
-        self._nominals: dict[Settings, Nominal] = {}
+        self._stages = ProblemInFolder(problem_text, self._folder, say)
+        self._nominal: Nominal | None = None  # set once, by `nominal`
+
+    @property
+    def problem(self) -> Problem:
+        """The problem itself, which needs JAX and the user's code."""
+        return self._stages.load().problem
 
     @property
     def record(self) -> ProblemRecord:
         """The problem as data; from the folder while its sources are unchanged."""
-        if self._stored is not None and not self._stored.needs_code:
-            return self._stored
-        return self.problem.record
+        return self._stages.record()
 
     @cached_property
-    def problem(self) -> Problem:
-        """The problem itself, which needs JAX and the user's code."""
-        from swerve.problem.loading import load_problem
-
-        problem = load_problem(self.problem_text)
-        if self._stored is not None and self._stored.fingerprint != problem.record.fingerprint:
-            self.say(f"{self.folder} is out of date (the problem has changed): working it out anew")
-            self._stored = None
-        return problem
-
-    @property
     def settings(self) -> Settings:
-        """All settings: those asked for, else those used last, else the defaults."""
-        chosen = self._asked.completed(self._last)
+        """Complete settings: those asked for, else those used last, else the defaults."""
+        chosen = self._asked.completed(self._stages.opened.settings)
         if chosen.solver is None:
             from swerve.solvers.learn import default_solver
 
@@ -113,113 +90,143 @@ class Work:
 
     @property
     def goal_of(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        """What gives the goal of a demonstration that names none; None: its last state."""
+        """The function that gives the goal of a demonstration without one; None: its last state."""
         return None if self.record.goal_is_last_state else self.problem.mdp.goal_of
 
+    def path(self, suffix: str, method: str | None = None) -> Path | None:
+        """Return the file of a result, or None without a folder; see `WorkFolder.result`."""
+        return None if self._folder is None else self._folder.result(suffix, self.settings, method)
+
     def evidence(self, tasks: Task | None) -> Evidence:
-        """Return evidence for tasks, learning and sampling only what is not there yet.
+        """Return evidence for tasks, learning and sampling only what the folder does not hold.
 
         Args:
-          tasks: starts [K, n] and goals [K, g]; None takes those of the stored evidence, or else
-            draws some from the MDP.
+          tasks: starts [K, n] and goals [K, g]; None takes those of the stored evidence, or, if
+            there is none, samples some from the MDP.
         """
-        known = self._stored_evidence()
-        if known is not None and _covers(known, tasks):
+        known = self._stored_evidence(self._stages.usable())
+        if known is not None and _has_all(known, tasks):
             return known
-        problem = self.problem  # which may show that what is stored is out of date
-        known = self._stored_evidence() or self._weighed_otherwise()
-        if known is not None and _covers(known, tasks):
+        record = self._stages.usable_once_loaded()
+        known = self._stored_evidence(record) or self._reweighed(record)
+        if known is not None and _has_all(known, tasks):
             return known
-        wanted = self._prior_tasks(problem) if tasks is None else _distinct(tasks)
+        wanted = self._prior_tasks() if tasks is None else _distinct(tasks)
         return self._sample(wanted if known is None else _missing(known, wanted), known)
 
     def nominal(self, tasks: Task | None = None) -> Nominal:
-        """Return the nominal distribution, learning it if it is not there yet.
+        """Return the nominal distribution, learning it if the folder does not hold it.
 
         Args:
           tasks: those on which training reports its progress.
         """
-        if self.settings not in self._nominals:
-            self._nominals[self.settings] = self._learned(tasks)
-        return self._nominals[self.settings]
+        if self._nominal is None:
+            self._nominal = self._read_or_learn(tasks)
+        return self._nominal
 
-    def _learned(self, tasks: Task | None) -> Nominal:
-        """Return the nominal distribution, read or learned."""
-        from swerve.solvers.learn import learn, load_nominal, resolve_solver, save_nominal
-        from swerve.solvers.trained.distilled import Distilled
-        from swerve.solvers.trained.training import TrainedNominal
-
-        problem, settings = self.problem, self.settings
-        assert settings.solver is not None
-        assert settings.seed is not None
-        solver = resolve_solver(settings.solver)
-        solver.check(problem)
-        self._begin()
-        path, checkpoint = self.path("nominal"), self.path("checkpoint")
-        if path is not None and path.exists():
-            self.say(f"using {path}")
-            return load_nominal(path, problem)
-        train = partial(learn, problem, solver)
-        if isinstance(solver, Distilled):
-            train = partial(solver.imitate, self._teacher.nominal(tasks))
-            self._last = Settings()  # the folder has noted those of the teacher
-            self._begin()
-        self.say(f"learning with {settings.solver}: {problem.record.summary}")
-        if checkpoint is not None and checkpoint.exists():
-            self.say(f"going on from {checkpoint}")
-        nominal = train(
-            tasks=tasks, seed=settings.seed, progress=self.progress, checkpoint=checkpoint
-        )
-        if path is not None and checkpoint is not None:
-            save_nominal(path, nominal)
-            checkpoint.unlink(missing_ok=True)
-        picture = self.path("training.png")
-        if picture is not None and isinstance(nominal, TrainedNominal):
-            nominal.plot_training(picture)
-            self.say(f"how training went: {picture}")
-        return nominal
-
-    @property
-    def _teacher(self) -> Work:
-        """The same folder, for the soft value that a direct policy is distilled from.
-
-        That which the folder holds, the latest if there are several, else one to be learned.
-        """
-        seed, solver = self.settings.seed, "soft-value"
-        if self.folder is not None:
-            suffix = f".seed{seed}.nominal"
-            held = sorted(
-                self.folder.glob(f"soft-value*{suffix}"), key=lambda path: path.stat().st_mtime
-            )
-            solver = unquote(held[-1].name.removesuffix(suffix)) if held else solver
-        settings = Settings(solver=solver, seed=seed)
-        return Work(self.problem_text, self.folder, settings, say=self.say, progress=self.progress)
-
-    def resolved(self, inference: Inference) -> Evidence:
-        """Return the evidence of a ranking, with what it hangs on worked out: see `resolve`."""
-        evidence, solver = inference.evidence, self.settings.solver
-        is_able = Specification.parse(str(solver)).target in ADAPTING_SOLVERS
-        is_asked = inference.demonstrations and inference.score_name == "likelihood"
-        if not (is_able and is_asked and inference.is_open.any()):
+    def resolved(self, ranking: Ranking) -> Evidence:
+        """Return the evidence of a ranking, with its open scores worked out: see `resolve`."""
+        evidence = ranking.evidence
+        is_able = kind_named(str(self.settings.solver)).adapts
+        is_asked = ranking.demonstrations and ranking.score_name == "likelihood"
+        if not (is_able and is_asked and ranking.is_open.any()):
             return evidence
         from swerve.sampling.resolve import resolve
 
-        names = np.flatnonzero(inference.is_open.any(axis=0)).tolist()
+        names = np.flatnonzero(ranking.is_open.any(axis=0)).tolist()
         self.say(
             "next to no trajectory avoids "
-            f"{some_names([inference.hypothesis_name(index) for index in names])}: resolving what "
-            "that takes (--no-resolve leaves what the samples tell)"
+            f"{some_names([ranking.hypothesis_name(index) for index in names])}: resolving how "
+            "unlikely that is (--no-resolve keeps the lower bounds that the samples give)"
         )
         return resolve(
             self.nominal(),
-            inference,
+            ranking,
             seed=self.settings.seed or 0,
             progress=self.progress,
             keep=lambda evidence: self._save([evidence]),
         )
 
+    def foresight(self, evidence: Evidence) -> Foresight:
+        """Return the foresight for the tasks of evidence, learning it if the folder has none."""
+        from swerve.monitoring.foresight import Foresight
+
+        path = self.path("foresight")
+        if path is not None and path.exists():
+            foresight = Foresight.load(path, evidence.problem)
+            if foresight.learned_from == evidence.digest:
+                return foresight
+        from swerve.monitoring.foresee import foresee
+
+        self.say("learning to look ahead, for the goals of the work folder's tasks")
+        nominal = self.nominal(evidence.tasks)
+        seed = self.settings.seed or 0
+        foresight = foresee(nominal, evidence, seed=seed, progress=self.progress)
+        if path is not None:
+            foresight.save(path)
+        return foresight
+
+    def _read_or_learn(self, tasks: Task | None) -> Nominal:
+        """Return the nominal distribution, read from the folder or learned into it."""
+        from swerve.solvers.learn import load_nominal, resolve_solver, save_nominal
+
+        problem, solver = self.problem, resolve_solver(str(self.settings.solver))
+        solver.check(problem)  # before the record is written: a refused solver is not remembered
+        self._stages.prepare(self.settings)
+        path, checkpoint = self.path("nominal"), self.path("checkpoint")
+        if path is not None and path.exists():
+            self.say(f"using {path}")
+            return load_nominal(path, problem)
+        nominal: Any = self._learn(solver, tasks, checkpoint)
+        if path is not None and checkpoint is not None:
+            save_nominal(path, nominal)
+            checkpoint.unlink(missing_ok=True)
+        picture = self.path("training.png")
+        if picture is not None and kind_named(solver.name).is_trained:
+            nominal.plot_training(picture)
+            self.say(f"how training went: {picture}")
+        return nominal
+
+    def _learn(self, solver: Any, tasks: Task | None, checkpoint: Path | None) -> Nominal:
+        """Return the nominal distribution that a solver learns, from a checkpoint if there is one.
+
+        Args:
+          solver: of any kind; one with a teacher imitates what the teacher learned.
+          tasks: those on which training reports its progress.
+          checkpoint: file that training writes as it goes, or None.
+        """
+        from swerve.solvers.learn import learn
+
+        settings, loaded = self.settings, self._stages.load()
+        assert settings.seed is not None
+        train = partial(learn, loaded.problem, solver)
+        teacher = kind_named(solver.name).teacher
+        if teacher:
+            train = partial(solver.imitate, self._work_of_teacher(teacher).nominal(tasks))
+            self._stages.write_record(settings)  # by now the record names those of the teacher
+        self.say(f"learning with {settings.solver}: {loaded.record.summary}")
+        if checkpoint is not None and checkpoint.exists():
+            self.say(f"going on from {checkpoint}")
+        return train(tasks=tasks, seed=settings.seed, progress=self.progress, checkpoint=checkpoint)
+
+    def _work_of_teacher(self, name: str) -> Work:
+        """Return work in the same folder with the solver that a student imitates.
+
+        Args:
+          name: of the teacher. Its settings are those that the folder holds a nominal of, the
+            latest if there are several, else the defaults.
+        """
+        seed = self.settings.seed
+        held = None if self._folder is None else self._folder.latest_solver(name, seed)
+        settings = Settings(solver=held or name, seed=seed)
+        path = None if self._folder is None else self._folder.path
+        return Work(self.problem_text, path, settings, say=self.say, progress=self.progress)
+
     def _sample(self, tasks: Task, known: Evidence | None) -> Evidence:
-        """Sample tasks; what is finished is kept, also when it is interrupted."""
+        """Sample tasks and add their evidence to what is known.
+
+        Finished tasks are saved every SAVE_INTERVAL, and at the end or an interruption.
+        """
         from swerve.problem.tasks import checked_tasks
         from swerve.sampling.sample import sample_each
 
@@ -229,7 +236,7 @@ class Work:
         assert settings.seed is not None
         checked_tasks(self.problem, tasks)  # before learning, which may take minutes
         found = [] if known is None else [known]
-        saved, at = len(found), time.monotonic()
+        num_saved, saved_at = len(found), time.monotonic()
         try:
             for _, evidence in sample_each(
                 self.nominal(tasks),
@@ -240,147 +247,57 @@ class Work:
                 progress=self.progress,
             ):
                 found.append(evidence)
-                if time.monotonic() - at > SAVE_INTERVAL:
+                if time.monotonic() - saved_at > SAVE_INTERVAL:
                     self._save(found)
-                    saved, at = len(found), time.monotonic()
+                    num_saved, saved_at = len(found), time.monotonic()
         finally:
-            if len(found) > saved:
+            if len(found) > num_saved:
                 self._save(found)
         return found[0].joined(*found[1:])
 
     def _save(self, found: list[Evidence]) -> None:
-        """Write evidence, with that of tasks which another process has added meanwhile."""
-        path = self.path("evidence")
-        if self.folder is None or path is None:
-            return
-        evidence = found[0].joined(*found[1:])
-        with store.locked(self.folder):
-            stored = self._stored_evidence()
-            if stored is not None:
-                rows = _missing_rows(evidence, stored.tasks)
-                evidence = evidence.joined(stored.select(rows)) if rows else evidence
-            evidence.save(path)
+        """Add evidence to what the folder, which is prepared, holds."""
+        if self._folder is not None:
+            evidence = found[0].joined(*found[1:])
+            self._folder.add_evidence(evidence, self.settings, self._stages.load().record)
 
-    def _weighed_otherwise(self) -> Evidence | None:
-        """Return stored trajectories that were weighed by another method, weighed by this one."""
+    def _stored_evidence(
+        self, record: ProblemRecord | None, method: str | None = None
+    ) -> Evidence | None:
+        """Return the stored evidence that was made with these settings, if any.
+
+        Args:
+          record: of the usable results, see `ProblemInFolder.usable`; None if none are usable.
+          method: of sampling, in place of that of the settings.
+        """
+        if record is None or self._folder is None:
+            return None
+        return self._folder.read_evidence(self.settings, record, method)
+
+    def _reweighed(self, record: ProblemRecord | None) -> Evidence | None:
+        """Return stored trajectories of another method, weighed by this method, or None.
+
+        Args:
+          record: of the usable results; None if none are usable.
+        """
         mine = self.settings.method
-        for method in REWEIGHED if mine in REWEIGHED else ():
-            other = self._stored_evidence(method)
-            if other is not None and mine is not None:
-                self._begin()
+        if mine not in REWEIGHED:
+            return None
+        for method in REWEIGHED:
+            other = self._stored_evidence(record, method)
+            if other is not None:
+                self._stages.prepare(self.settings)
                 evidence = other.weighted(mine)
                 self._save([evidence])
                 return evidence
         return None
 
-    def _prior_tasks(self, problem: Problem) -> Task:
-        """Draw tasks for the ranking before any demonstration."""
+    def _prior_tasks(self) -> Task:
+        """Sample tasks from the MDP for the ranking before any demonstration."""
         from swerve.problem.tasks import draw_tasks
 
-        self.say(f"no demonstrations and no tasks: drawing {NUM_PRIOR_TASKS} tasks from the MDP")
-        return draw_tasks(problem, NUM_PRIOR_TASKS, seed=self.settings.seed or 0)
-
-    def path(self, suffix: str, method: str | None = None) -> Path | None:
-        """Return the file of a result, named after all settings that it depends on."""
-        if self.folder is None:
-            return None
-        settings = self.settings
-        name = f"{quote(str(settings.solver), safe='=')}.seed{settings.seed}"
-        if suffix == "evidence":
-            name = f"{name}.{method or settings.method}.{settings.num_trajectories}"
-        return self.folder / f"{name}.{suffix}"
-
-    def _stored_evidence(self, method: str | None = None) -> Evidence | None:
-        """Return the stored evidence that was made with these settings, or another method."""
-        if self._stored is not None and self._stored.needs_code:
-            _ = self.problem  # which may show that what is stored is out of date
-        if self._stored is None:
-            return None
-        path = self.path("evidence", method)
-        if path is None or not path.exists():
-            return None
-        evidence = Evidence.load(path)
-        if evidence.problem.fingerprint != self._stored.fingerprint:
-            raise store.StoreError(
-                path,
-                "holds evidence of another version of the problem",
-                "remove it, and it is made again",
-            )
-        if evidence.problem.needs_code:
-            return dataclasses.replace(evidence, problem=self.problem.record)
-        return evidence
-
-    def _read_record(self, say: Callable[[str], None]) -> ProblemRecord | None:
-        """Return the folder's problem if it is this one and nothing it came from has changed."""
-        if self.folder is None or not (self.folder / "problem.json").exists():
-            return None
-        stored = store.read_json(self.folder / "problem.json")
-        asked = canonical_problem(self.problem_text)
-        if stored.get("format") != FORMAT:
-            say(f"{self.folder} is of another version of swerve: working it out anew")
-            return None
-        if stored["problem"] != asked:
-            raise ValueError(
-                f"{self.folder} holds the results of {stored['problem']!r}, not of {asked!r}: "
-                "name another --work folder"
-            )
-        self._last = Settings.from_json(stored["settings"])
-        changes = [
-            f"{path} has changed"
-            for path, old in stored["sources"].items()
-            if file_hash(Path(path)) != old
-        ]
-        if stored["swerve"] != swerve.__version__:
-            changes.append(f"swerve was {stored['swerve']} and is {swerve.__version__}")
-        if changes:
-            say(f"{self.folder} is out of date ({'; '.join(changes)}): working it out anew")
-            return None
-        return ProblemRecord.from_json(stored["record"])
-
-    def _begin(self) -> None:
-        """Make the folder ready to be written: nothing out of date in it, these settings noted."""
-        if self.folder is None:
-            return
-        store.check_writable(self.folder)
-        record, settings = self.problem.record, self.settings
-        if self._stored is not None and settings == self._last:
-            return
-        with store.locked(self.folder):
-            if not self._is_current(record):
-                self._move_aside(self.folder)
-            data = {
-                "format": FORMAT,
-                "problem": canonical_problem(self.problem_text),
-                "record": record.to_json(),
-                "settings": dataclasses.asdict(settings),
-                "sources": source_hashes(self.problem),
-                "swerve": swerve.__version__,
-            }
-            store.write_json(self.folder / "problem.json", data)
-        self._stored, self._last = record, settings
-
-    def _is_current(self, record: ProblemRecord) -> bool:
-        """Return whether the folder is, by now perhaps, one of this problem as it is."""
-        if self._stored is None:
-            self._stored = self._read_record(lambda text: None)  # since it has been said
-        return self._stored is not None and self._stored.fingerprint == record.fingerprint
-
-    def _move_aside(self, folder: Path) -> None:
-        """Move what rests on an older version of the problem, in place of what was moved before."""
-        results = [path for pattern in RESULTS for path in folder.glob(pattern)]
-        if results and not (folder / "problem.json").exists():
-            raise ValueError(
-                f"{folder} holds {results[0].name} but no problem.json, so it is no work "
-                "folder of swerve: name another --work folder"
-            )
-        aside = folder / OUTDATED
-        if results:
-            shutil.rmtree(aside, ignore_errors=True)
-            aside.mkdir()
-            shutil.copy(folder / "problem.json", aside)
-            self.say(f"what {folder} held is in {aside} now")
-        for path in results:
-            shutil.move(path, aside)
+        self.say(f"no demonstrations and no tasks: sampling {NUM_PRIOR_TASKS} tasks from the MDP")
+        return draw_tasks(self.problem, NUM_PRIOR_TASKS, seed=self.settings.seed or 0)
 
 
 def _distinct(tasks: Task) -> Task:
@@ -389,19 +306,12 @@ def _distinct(tasks: Task) -> Task:
     return Task(*np.split(rows, [tasks.start.shape[1]], axis=1))
 
 
-def _covers(evidence: Evidence, tasks: Task | None) -> bool:
+def _has_all(evidence: Evidence, tasks: Task | None) -> bool:
     """Return whether there is evidence for all tasks, if any are asked for."""
-    return tasks is None or not _missing_rows(evidence, tasks)
+    return tasks is None or not missing_rows(evidence, tasks)
 
 
 def _missing(evidence: Evidence, tasks: Task) -> Task:
-    """Return those tasks for which there is no evidence."""
-    rows = _missing_rows(evidence, tasks)
+    """Return the tasks for which there is no evidence."""
+    rows = missing_rows(evidence, tasks)
     return Task(tasks.start[rows], tasks.goal[rows])
-
-
-def _missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
-    """Return the numbers of those tasks for which there is no evidence."""
-    return [
-        k for k, task in enumerate(zip(*tasks, strict=True)) if evidence.find(Task(*task)) is None
-    ]

@@ -1,0 +1,151 @@
+"""The command that ranks hypotheses: `swerve infer`."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swerve.cli.options import (
+    AS_BEFORE,
+    AS_USUAL,
+    AsJson,
+    Choices,
+    Judging,
+    ProblemText,
+    Score,
+    TasksFile,
+    WorkPath,
+    asked_tasks,
+    check_judging,
+    open_work,
+    read_files,
+    say,
+)
+
+if TYPE_CHECKING:
+    from swerve.answer import Inference
+    from swerve.base.space import Task
+    from swerve.evidence.evidence import Evidence
+    from swerve.inference.greedy import Pick
+    from swerve.work.work import Work
+
+
+def infer(
+    problem: ProblemText,
+    /,
+    *demonstrations: Path,
+    tasks: TasksFile = None,
+    how: Choices = AS_BEFORE,
+    score: Score = "likelihood",
+    judged: Judging = AS_USUAL,
+    work: WorkPath = None,
+    report: Path | None = None,
+    no_resolve: bool = False,
+    greedy: int | None = None,
+    as_json: AsJson = False,
+) -> None:
+    """Rank the hypotheses of a problem by how well they explain demonstrations.
+
+    Learns and samples whatever the work folder does not hold yet. Without demonstrations the
+    ranking is the prior one: the hypothesis that unconstrained trajectories enter most often comes
+    first.
+
+    Args:
+      demonstrations: CSV or Parquet files whose columns include the states' names.
+      report: HTML page to write, with the picture, the ranking and the diagnostics.
+      no_resolve: For a hypothesis that next to no trajectory avoids, report a lower bound of the
+        score, which is all that the samples tell. Otherwise the score is worked out, which may
+        need minutes.
+      greedy: Pick up to this many constraints as well, one after another. Each pick explains most
+        of what earlier picks leave unexplained.
+    """
+    from swerve.answer import infer as infer_constraints
+
+    if report is not None:
+        _check_report(report)
+    if greedy is not None:
+        _check_greedy(greedy, demonstrations)
+    job = open_work(problem, work, how)
+    check_judging(job.record, judged)
+    found = read_files(job, demonstrations, tasks)
+    asked = asked_tasks(job, found, tasks)
+    evidence = job.evidence(asked)
+    if not found and asked is not None:
+        evidence = _only(evidence, asked)
+    rank = partial(infer_constraints, demonstrations=found, score=score, **vars(judged))
+    result = rank(evidence)
+    if not no_resolve:
+        result = rank(job.resolved(result))
+    picks = None if greedy is None else _picks(job, result, greedy)
+    _show(result, picks, greedy, report, as_json)
+
+
+def _check_report(report: Path) -> None:
+    """Make sure, before the work, that the report can be written."""
+    from swerve.base.files import check_writable
+
+    if report.is_dir():
+        raise IsADirectoryError(f"--report {report} is a folder; name a file, such as report.html")
+    if report.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"--report {report}: it is an HTML page; name a file such as report.html")
+    check_writable(report.parent)
+
+
+def _check_greedy(most: int, demonstrations: tuple[Path, ...]) -> None:
+    """Make sure, before the work, that constraints can be picked."""
+    if most < 1:
+        raise ValueError(f"--greedy: expected a number of picks >= 1, got {most}")
+    if not demonstrations:
+        raise ValueError("--greedy: constraints are picked from demonstrations: give at least one")
+
+
+def _only(evidence: Evidence, tasks: Task) -> Evidence:
+    """Return the part of evidence that is about these tasks."""
+    indices = {evidence.match(type(tasks)(*task)) for task in zip(*tasks, strict=True)}
+    return evidence.select(sorted(indices))
+
+
+def _picks(job: Work, result: Inference, most: int) -> list[Pick]:
+    """Return the constraints that greedy selection picks from a result."""
+    from swerve.inference.greedy import greedy
+
+    nominal: Any = job.nominal() if result.evidence.is_exact else None
+    return greedy(result, nominal, most=most)
+
+
+def _show(
+    result: Inference,
+    picks: list[Pick] | None,
+    most: int | None,
+    report: Path | None,
+    as_json: bool,
+) -> None:
+    """Print a result and write its report.
+
+    Args:
+      result: of `swerve.infer`.
+      picks: constraints that were picked; None if no picks were asked for.
+      most: number of picks asked for.
+      report: HTML file to write, or None.
+      as_json: whether to print JSON.
+    """
+    from swerve.presentation import text_tables
+
+    for warning in result.warnings:
+        say(f"warning: {warning}")
+    if as_json:
+        picked = {} if picks is None else {"greedy": text_tables.picks_to_json(result, picks)}
+        print(json.dumps(result.to_json() | picked))
+    else:
+        print(result.evidence.problem.summary)
+        print(result.headline)
+        print(result.belief)
+        print(result.table())
+        if picks is not None and most is not None:
+            print(text_tables.picks_table(result, picks, most))
+        print(result.verdicts())
+    if report is not None:
+        result.report(report, picks)
+        say(f"report: {report}")

@@ -1,0 +1,238 @@
+"""The files of a work folder: their names, the record of the problem, results that are outdated.
+
+    problem.json                                   the record: the problem as data, hashes of the
+                                                   source files that made it, the settings used last
+    <solver>.seed<S>.nominal                       what the solver learned
+    <solver>.seed<S>.<method>.<N>.evidence         what its N trajectories a task tell
+    <solver>.seed<S>.<method>.<N>.foresight        what a monitor needs besides
+    <solver>.seed<S>.checkpoint                    training that has not finished
+    <solver>.seed<S>.training.png                  a picture of how training went
+    outdated/                                      all these files as they were before the problem
+                                                   changed
+
+A file is named after all settings that its contents depend on, so that other settings make another
+file. Several processes may work in one folder.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+from swerve.base import files, store
+from swerve.base.space import Task
+from swerve.base.version import VERSION
+from swerve.evidence.evidence import Evidence
+from swerve.problem.loading import canonical_problem, file_hash
+from swerve.problem.record import ProblemRecord
+from swerve.work.settings import Settings
+
+RECORD = "problem.json"
+RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training.png")
+SAMPLED = ("evidence", "foresight")  # results that depend on the method and on N too
+OUTDATED = "outdated"  # folder of the results of an older version of the problem
+FORMAT = 3  # of problem.json; increase it when its fields change
+
+
+class State(Enum):
+    """What a folder's record says of the results beside it."""
+
+    ABSENT = "absent"  # there is no record
+    OTHER_FORMAT = "other format"  # another version of Swerve wrote the record
+    CHANGED = "changed"  # a source file or Swerve has changed since
+    CURRENT = "current"  # no source file has changed: results can be used
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A folder's record as it was read at one moment.
+
+    Attributes:
+      state: what the record says of the results.
+      record: the problem as data; None unless the state is CURRENT.
+      settings: those used last; all None if the state is ABSENT or OTHER_FORMAT.
+      changes: for people, what has changed; empty unless the state is CHANGED.
+    """
+
+    state: State
+    record: ProblemRecord | None = None
+    settings: Settings = Settings()  # noqa: RUF009  # immutable
+    changes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class WorkFolder:
+    """A folder with the results of one problem.
+
+    Attributes:
+      path: the folder, which need not exist yet.
+      problem_text: the problem's specification, see `loading.load_problem`.
+    """
+
+    path: Path
+    problem_text: str
+
+    def result(self, suffix: str, settings: Settings, method: str | None = None) -> Path:
+        """Return the file of a result.
+
+        Args:
+          suffix: kind of the result, such as "nominal" or "evidence".
+          settings: complete settings that the result was made with.
+          method: of sampling, in place of that of the settings.
+        """
+        name = f"{quote(str(settings.solver), safe='=')}.seed{settings.seed}"
+        if suffix in SAMPLED:
+            name = f"{name}.{method or settings.method}.{settings.num_trajectories}"
+        return self.path / f"{name}.{suffix}"
+
+    def latest_solver(self, name: str, seed: int | None) -> str | None:
+        """Return the solver of the nominal written last, of all solvers of this name and seed.
+
+        Returns:
+          The solver's specification, settings included; None if there is no such nominal.
+        """
+        suffix = f".seed{seed}.nominal"
+        held = sorted(self.path.glob(f"{name}*{suffix}"), key=lambda path: path.stat().st_mtime)
+        return unquote(held[-1].name.removesuffix(suffix)) if held else None
+
+    def read_evidence(
+        self, settings: Settings, record: ProblemRecord, method: str | None = None
+    ) -> Evidence | None:
+        """Return the evidence that was made with some settings, or None if there is none.
+
+        Args:
+          settings: complete settings.
+          record: of the problem, with the code that judging demonstrations may need.
+          method: of sampling, in place of that of the settings.
+
+        Raises:
+          store.StoreError: if the file is cut short or altered, or its evidence is of another
+            version of the problem.
+        """
+        path = self.result("evidence", settings, method)
+        if not path.exists():
+            return None
+        evidence = Evidence.load(path)
+        if evidence.problem.fingerprint != record.fingerprint:
+            raise store.StoreError(
+                path,
+                "holds evidence of another version of the problem",
+                "remove it, and it is made again",
+            )
+        if evidence.problem.needs_code:  # which no file can hold
+            return dataclasses.replace(evidence, problem=record)
+        return evidence
+
+    def add_evidence(self, evidence: Evidence, settings: Settings, record: ProblemRecord) -> None:
+        """Write evidence, keeping the stored tasks that it lacks: another process may add some."""
+        with files.locked(self.path):
+            stored = self.read_evidence(settings, record)
+            if stored is not None:
+                rows = missing_rows(evidence, stored.tasks)
+                evidence = evidence.joined(stored.select(rows)) if rows else evidence
+            evidence.save(self.result("evidence", settings))
+
+    def read(self) -> Reading:
+        """Read the record and compare it with the problem's text and with its source files.
+
+        Needs neither JAX nor the user's code, so a change that no source file shows, such as one
+        of a data file, is not noticed here.
+
+        Raises:
+          ValueError: if the folder holds the results of another problem.
+          store.StoreError: if the record is cut short or altered.
+        """
+        path = self.path / RECORD
+        if not path.exists():
+            return Reading(State.ABSENT)
+        stored = store.read_json(path)
+        asked = canonical_problem(self.problem_text)
+        if stored.get("format") != FORMAT:
+            return Reading(State.OTHER_FORMAT)
+        if stored["problem"] != asked:
+            raise ValueError(
+                f"{self.path} holds the results of {stored['problem']!r}, not of {asked!r}: "
+                "name another --work folder"
+            )
+        settings = Settings.from_json(stored["settings"])
+        changes = [
+            f"{source} has changed"
+            for source, old in stored["sources"].items()
+            if file_hash(Path(source)) != old
+        ]
+        if stored["swerve"] != VERSION:
+            changes.append(f"swerve was {stored['swerve']} and is {VERSION}")
+        if changes:
+            return Reading(State.CHANGED, settings=settings, changes=tuple(changes))
+        return Reading(State.CURRENT, ProblemRecord.from_json(stored["record"]), settings)
+
+    def write(
+        self,
+        record: ProblemRecord,
+        settings: Settings,
+        sources: dict[str, str],
+        *,
+        is_current: bool,
+    ) -> Path | None:
+        """Write the record, after moving outdated results aside.
+
+        Args:
+          record: the problem as data.
+          settings: complete settings that are used now.
+          sources: hash of each source file that made the problem.
+          is_current: whether the results are known to be of this problem. If not, the record is
+            read again, since another process may have written one for this problem.
+
+        Returns:
+          The folder that outdated results are in now, or None if none were moved.
+
+        Raises:
+          ValueError: if there are results but no record, so that they may be somebody else's.
+          OSError: if the folder cannot be written.
+        """
+        with files.locked(self.path):
+            aside = None if is_current or self._is_of(record) else self._move_aside()
+            data = {
+                "format": FORMAT,
+                "problem": canonical_problem(self.problem_text),
+                "record": record.to_json(),
+                "settings": dataclasses.asdict(settings),
+                "sources": sources,
+                "swerve": VERSION,
+            }
+            store.write_json(self.path / RECORD, data)
+        return aside
+
+    def _is_of(self, record: ProblemRecord) -> bool:
+        """Return whether the folder's record, read now, is current and of this problem."""
+        found = self.read().record
+        return found is not None and found.fingerprint == record.fingerprint
+
+    def _move_aside(self) -> Path | None:
+        """Move all results, which are outdated, in place of those moved aside before."""
+        results = [path for pattern in RESULTS for path in self.path.glob(pattern)]
+        if not results:
+            return None
+        if not (self.path / RECORD).exists():
+            raise ValueError(
+                f"{self.path} holds {results[0].name} but no {RECORD}, so it is no work "
+                "folder of swerve: name another --work folder"
+            )
+        aside = self.path / OUTDATED
+        shutil.rmtree(aside, ignore_errors=True)
+        aside.mkdir()
+        shutil.copy(self.path / RECORD, aside)
+        for path in results:
+            shutil.move(path, aside)
+        return aside
+
+
+def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
+    """Return the rows of the tasks that evidence lacks."""
+    return [
+        k for k, task in enumerate(zip(*tasks, strict=True)) if evidence.find(Task(*task)) is None
+    ]
