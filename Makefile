@@ -30,9 +30,10 @@ LOCK_ARGS ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq
 LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
-# Folders of tests that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
-# tests learn or sample. What is left takes about 160 s of one core.
-SLOW_TESTS := benchmarks cli demonstrators fitting monitoring reproduce sampling solvers whole work
+# Folders and files that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
+# tests learn or sample. The rest takes about 150 s of processor time, shared by the processes.
+SLOW_TESTS := benchmarks cli demonstrators fitting monitoring reproduce sampling solvers whole work \
+	evidence/test_at_beta.py evidence/test_stored_before.py
 
 # Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.
 export NO_MKDOCS_2_WARNING := 1

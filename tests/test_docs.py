@@ -110,3 +110,12 @@ def test_hooks_are_tools_of_the_locked_environment() -> None:
     for hook in repositories[0]["hooks"]:
         assert hook["language"] == "unsupported"  # run as it is: nothing is installed or fetched
         assert hook["entry"].startswith(".venv/bin/")
+
+
+def test_what_the_fast_tests_leave_out_is_there() -> None:
+    found = re.search(
+        r"^SLOW_TESTS := ((?:.*\\\n)*.*)", (ROOT / "Makefile").read_text(), re.MULTILINE
+    )
+    assert found is not None
+    for name in found[1].replace("\\\n", " ").split():
+        assert (ROOT / "tests" / name).exists(), name
