@@ -31,7 +31,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq
 LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
 # Folders and files that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
-# tests learn or sample. The rest takes about 150 s of processor time, shared by the processes.
+# tests learn or sample. The rest takes about 170 s of processor time, shared by the processes.
 SLOW_TESTS := benchmarks cli demonstrators fitting monitoring reproduce sampling solvers whole work \
 	evidence/test_at_beta.py evidence/test_stored_before.py
 
