@@ -1,1 +1,1 @@
-"""Ways to the nominal distribution pi_0, one file each."""
+"""Learn: ways to the nominal distribution pi_0, one file a solver, and the table-driven `learn`."""

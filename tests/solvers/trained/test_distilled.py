@@ -108,7 +108,7 @@ def test_the_work_folder_distils_the_soft_value_that_it_holds(
     said: list[str] = []
 
     def work(solver: str) -> Work:
-        return Work("test_distilled:PROBLEM", tmp_path, Settings(solver), say=said.append)
+        return Work(f"{__name__}:PROBLEM", tmp_path, Settings(solver), say=said.append)
 
     work(text).nominal()
     student = work("distilled?num_steps=8000&num_lanes=16&segment=8&width=8")
@@ -116,7 +116,7 @@ def test_the_work_folder_distils_the_soft_value_that_it_holds(
     assert evidence.method == "smc"
     assert evidence.solver.startswith("Distilled(")
     assert sum("learning with soft-value" in line for line in said) == 1
-    assert student.settings.solver == Work("test_distilled:PROBLEM", tmp_path).settings.solver
+    assert student.settings.solver == Work(f"{__name__}:PROBLEM", tmp_path).settings.solver
 
 
 @pytest.mark.filterwarnings("ignore:training came no nearer to pi_0")  # a run this short

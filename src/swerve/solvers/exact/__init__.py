@@ -1,1 +1,1 @@
-"""Package."""
+"""Exact solvers: answers without samples, from tables of states or all action sequences."""

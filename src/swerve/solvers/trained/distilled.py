@@ -43,14 +43,14 @@ class Distilled(TrainingSolver):
 
     Attributes:
       num_steps: environment steps to train for.
-      num_lanes: N, episodes simulated side by side, under the policy that is imitated.
+      num_lanes: N, episodes simulated side by side, under the policy of the teacher.
       segment: L, steps of each lane between updates.
       explore: share of the lanes that start anywhere at any time.
       num_epochs: passes over a segment.
-      num_minibatches: G, updates a pass; has to divide the segment.
-      learning_rate: at first, falling to a hundredth.
+      num_minibatches: G, updates a pass; must divide the segment.
+      learning_rate: learning rate at first; it falls to a hundredth.
       width: of the two hidden layers.
-      loss_scale: nats; errors of the value are divided by 1 + |target| / this.
+      loss_scale: nats; errors of the value are divided by 1 + |target| / loss_scale.
     """
 
     num_steps: int = 8_000_000
@@ -72,8 +72,8 @@ class Distilled(TrainingSolver):
     def _learn(self, problem: Problem, options: LearnOptions) -> TrainedNominal:
         """Learn a soft value with `SoftValue()`, and imitate looking ahead with it.
 
-        The checkpoint of the soft value is a file beside that of the imitation, its name with
-        `.teacher` appended.
+        The checkpoint of the soft value is a file beside that of the imitation, with `.teacher`
+        appended to its name.
         """
         checkpoint = options.checkpoint
         beside = checkpoint and checkpoint.with_name(f"{checkpoint.name}.teacher")
@@ -89,14 +89,14 @@ class Distilled(TrainingSolver):
         progress: bool = False,
         checkpoint: Path | None = None,
     ) -> TrainedNominal:
-        """Return a direct policy that does as a nominal distribution with a soft value.
+        """Learn a direct policy that imitates a nominal distribution with a soft value.
 
         Args:
-          teacher: from `SoftValue`.
-          tasks: those on which KL and ESS are estimated; drawn if None.
+          teacher: nominal distribution that `SoftValue` learned.
+          tasks: as for `learn`.
           seed: of everything random.
-          progress: whether to show a bar.
-          checkpoint: file that is written after every chunk and resumed from; None for neither.
+          progress: whether to show a progress bar.
+          checkpoint: as for `learn`.
 
         Raises:
           ValueError: if the teacher's policy has no soft value.
@@ -111,7 +111,7 @@ class Distilled(TrainingSolver):
         return self.train(trainer, teacher.problem, options)
 
     def trainer(self, problem: Problem, seed: int) -> DistilledTrainer:
-        """Return what would train, had it something to imitate."""
+        """Return a trainer without a teacher: it can rebuild a stored policy, but not train."""
         return DistilledTrainer(problem, self, seed, None)
 
 
@@ -119,7 +119,9 @@ class DirectPolicy(ValuedPolicy):
     """A policy and a soft value by one network, for all goals.
 
     Attributes:
-      loss_scale: of its values.
+      problem: problem that was learned.
+      loss_scale: scale of the soft values, nats.
+      network: network that gives the logits of the policy and the soft value.
     """
 
     problem: Problem = eqx.field(static=True)
@@ -129,18 +131,18 @@ class DirectPolicy(ValuedPolicy):
     def propose(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
-        """Return log pi(a | s, t) of every action, and what it takes for V_t(s) [nats]."""
+        """Return log pi(a | s, t) of every action, and the network's V_t(s) [nats]."""
         return self.of(self.problem.mdp.features(state, step, goal))
 
     def of(self, features: Float[Array, " F"]) -> tuple[Float[Array, " A"], Float[Array, ""]]:
-        """Return the same of features."""
+        """Return log pi of every action and V, given the features of a state."""
         output = self.network(features)
         value = losses.value_of_output(output[-1], self.loss_scale)
         return jax.nn.log_softmax(output[:-1]), value
 
 
 class DistilledTrainer(NetworkTrainer):
-    """One run, with the policy that is imitated."""
+    """One run of distillation, with the policy that is imitated."""
 
     settings: Distilled
 
@@ -178,7 +180,7 @@ class DistilledTrainer(NetworkTrainer):
     def columns(
         self, network: DenseNetwork, segment: Segment
     ) -> tuple[tuple[Array, ...], Float[Array, "L N"]]:
-        """Return what the teacher did, and how far its soft values are from the network's."""
+        """Return what the teacher did, and the errors of the network's soft values [nats]."""
         features, _, value = segment.seen
         _, now = jax.lax.map(over_lanes(self.policy(network).of, -1), features)
         return segment.seen, value - now

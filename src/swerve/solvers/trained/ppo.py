@@ -44,11 +44,11 @@ class PPO(TrainingSolver):
       explore: share of the lanes that start anywhere at any time.
       num_epochs: passes over a segment.
       num_minibatches: G; must divide num_lanes.
-      gae_lambda: of the advantages.
-      clip: of the surrogate.
-      learning_rate: at first, falling linearly to a hundredth.
+      gae_lambda: lambda of the generalised advantage estimates.
+      clip: how far the ratio of new to old probabilities may be from 1 in the surrogate.
+      learning_rate: learning rate at first; it falls linearly to a hundredth.
       width: of the two hidden layers of the policy and of the value network.
-      loss_scale: nats; losses are divided by 1 + |value| / this.
+      loss_scale: nats; losses are divided by 1 + |value| / loss_scale.
     """
 
     num_steps: int = 20_000_000
@@ -111,7 +111,7 @@ class Batch(NamedTuple):
 
 
 class PPOTrainer(Trainer):
-    """One run: its problem, settings and seed."""
+    """One run of PPO."""
 
     settings: PPO
     restarts = False
@@ -121,10 +121,10 @@ class PPOTrainer(Trainer):
         return PPOPolicy(self.problem, state.policy)
 
     def initial_state(self) -> PPOState:
-        """Return what training starts from."""
+        """Return the state that training starts from."""
         settings, mdp = self.settings, self.problem.mdp
         key_policy, key_value, key_lanes = jax.random.split(jax.random.key(self.seed), 3)
-        # all at any time at first, so that ends come evenly
+        # all lanes start at any time, so that their episodes do not end together
         lanes = fresh_lanes(self.problem, key_lanes, settings.num_lanes, explore=1.0)
         features = over_lanes(mdp.features, -1, -1, -1)(*lanes)
         hidden = (features.shape[0], settings.width, settings.width)
@@ -144,7 +144,7 @@ class PPOTrainer(Trainer):
         return optax.chain(optax.clip_by_global_norm(10.0), optax.adam(schedule, b2=0.99, eps=1e-6))
 
     def iterate(self, state: PPOState, _: Any) -> tuple[PPOState, SegmentInfo]:
-        """Roll out one segment in all lanes and learn from it."""
+        """Roll out one segment in all lanes and learn from the segment."""
         lanes, segment = self.rollout(state)
         batch, residual = self.batch(state.value, segment, lanes)
 
@@ -157,7 +157,7 @@ class PPOTrainer(Trainer):
         return PPOState(*carry, lanes, state.iteration + 1), info
 
     def look(self, state: PPOState, lane: Lanes, place: Array) -> tuple[Array, tuple[Array, Array]]:
-        """Return log pi [A], features, and log pi again."""
+        """Return log pi [A], and to keep: the features and log pi."""
         features = self.problem.mdp.features(*lane)
         log_probabilities = jax.nn.log_softmax(state.policy(features))
         return log_probabilities, (features, log_probabilities)
@@ -193,7 +193,7 @@ class PPOTrainer(Trainer):
         return Batch(features, *map(group, columns)), residual
 
     def update(self, carry: tuple, batch: Batch) -> tuple[tuple, None]:
-        """Take one step on a minibatch, of the policy and of the value."""
+        """Take one optimiser step of the policy and of the value on a minibatch."""
         policy, value, policy_state, value_state = carry
         policy, policy_state = self.descend(self.policy_loss, policy, policy_state, batch)
         value, value_state = self.descend(self.value_loss, value, value_state, batch)
@@ -211,7 +211,7 @@ class PPOTrainer(Trainer):
             new = jax.nn.log_softmax(policy(features))
             return losses.policy_loss(new, old, action, advantage, clip=self.settings.clip)
 
-        # a scale of the state alone, since one of the action would move the best policy there
+        # the scale depends on the state alone: one of the action would move the best policy
         scale = losses.loss_scale(batch.value, self.settings.loss_scale)
         advantage = losses.bounded(batch.advantage, scale)
         each = over_lanes(loss, -1, -1, -1, -1)(*batch[:3], advantage)

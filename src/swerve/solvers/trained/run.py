@@ -1,12 +1,11 @@
-"""A run of training, chunk by chunk: its checkpoint, its history, and whose fault a NaN is.
+"""Run training chunk by chunk: keep its checkpoint and history, and find the cause of a NaN.
 
 After every chunk a few tasks show how far the policy is from pi_0, and a checkpoint is written. A
-chunk that ends in numbers that are not finite is gone through again, to name what the MDP returned;
-where the MDP is innocent training has diverged, and what was learned before is kept. Where the KL
-has risen far above the least that there was it has diverged too, and the state of the least KL is
-kept. Where the solver says that the KL has settled, the run goes on from its best state to the last
-part of its schedule: it is the fall of the learning rate that takes the noise out of what was
-learned.
+chunk that ends in numbers that are not finite is repeated step by step, to name the method of the
+MDP that returned them. If the MDP returned none, training has diverged, and the state before the
+chunk is kept. If the KL has risen far above its least value, training has diverged too, and the
+state of the least KL is kept. When the solver says that the KL has settled, the run goes on from
+its best state to the last part of its schedule: the fall of the learning rate removes the noise.
 
 Shapes: N lanes, L steps of a segment, I iterations.
 """
@@ -35,25 +34,29 @@ from swerve.solvers.trained.probe import Probe, Progress
 from swerve.solvers.trained.settings import TrainingSettings
 from swerve.solvers.trained.trainers import SegmentInfo, Trainer
 
-FAR = 1.0  # nats: KL of a policy that is hardly pi_0
-RISEN = 3.0  # times the least KL, FAR on top: beyond, training has diverged
-NUM_RISEN = 5  # chunks in a row; one at the end
-NEARER = 0.9  # times the first KL: a run that ends above it has come no nearer to pi_0
-LAST_PART = 0.3  # of the schedule: what a run that has settled goes on with
+FAR = 1.0  # nats: a policy with a larger KL is far from pi_0
+RISEN = 3.0  # training has diverged where the KL is above RISEN times its least value, plus FAR
+NUM_RISEN = 5  # chunks in a row with such a KL; at the end of a run one chunk is enough
+NEARER = 0.9  # share of the first KL: a run that ends above it has come no nearer to pi_0
+LAST_PART = 0.3  # share of the schedule that a run goes on to when its KL has settled
 CALLER = 6  # frames from a warning here to the call of `Solver.learn`, which the warning names
 
 
 class Run:
     """A run of training that advances chunk by chunk, from its checkpoint if there is one.
 
+    Attributes:
+      history: how training went up to the end of each chunk.
+
     Args:
-      solver: and its settings.
-      trainer: of the solver.
-      problem: what to learn.
-      tasks: those on which KL and ESS are estimated; drawn if None. A run that goes on keeps those
-        that it began with.
+      solver: settings of the solver.
+      trainer: trainer of the solver.
+      problem: problem to learn.
+      tasks: those on which KL and ESS are estimated; sampled from the MDP if None. A run that goes
+        on from a checkpoint keeps the tasks that it began with.
       seed: of everything random.
-      checkpoint: file that is written after every chunk and resumed from; None for neither.
+      checkpoint: file that is written after every chunk, and from which the run goes on; None for
+        neither.
 
     Raises:
       ValueError: if the checkpoint is of another run, or no episode can begin.
@@ -90,24 +93,24 @@ class Run:
 
     @property
     def policy(self) -> Policy:
-        """What was learned so far."""
+        """Policy that was learned so far."""
         return self._trainer.policy_of(self._state)
 
     @property
     def num_done(self) -> int:
-        """Chunks of the schedule that are done or were passed over."""
+        """Chunks of the schedule that are done or were skipped."""
         return int(self._state.iteration) // self._solver.chunk_iterations
 
     def advance(self) -> Progress | None:
         """Train for a chunk; return how it went, or None where the run is over or diverged.
 
-        Where the KL has settled, that chunk is the first of the last part of the schedule.
+        If the KL has settled, the chunk is the first of the last part of the schedule.
 
         Raises:
           ValueError: if the MDP returned a number that is not finite, or nothing was learned yet
             and training diverged.
         """
-        self._pass_over()
+        self._skip_if_settled()
         is_over = self.num_done >= self._solver.num_chunks
         if self._has_risen(1 if is_over else NUM_RISEN):
             self._state = self._best
@@ -121,8 +124,8 @@ class Run:
         state, info = jax.block_until_ready(train(self._state))
         seconds = time.perf_counter() - began
         if not _is_finite(state):
-            self._blame_mdp()
-            self._diverged()
+            self._check_mdp()
+            self._keep_last()
             return None
         self._state = state
         seconds += self.history[-1].seconds if self.history else 0.0
@@ -135,15 +138,15 @@ class Run:
         self._checkpoint.save(self._arrays())
         return self.history[-1]
 
-    def _pass_over(self) -> None:
-        """Go on from the best state to the last part of the schedule where the KL has settled."""
+    def _skip_if_settled(self) -> None:
+        """If the KL has settled, move the best state on to the last part."""
         solver = self._solver
         first = round((1.0 - LAST_PART) * solver.num_chunks)
         if self.num_done < first and solver.has_settled(self.history):
             self._state = self._trainer.at_iteration(self._best, first * solver.chunk_iterations)
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        """Return all that is needed to go on, to be stored."""
+        """Return the arrays of a checkpoint: states, history and tasks."""
         states = {"state": self._state, "best": self._best}
         return {
             f"{at}/{name}": array
@@ -153,13 +156,13 @@ class Run:
 
     @cached_property
     def _train(self) -> Callable[[Any], tuple[Any, SegmentInfo]]:
-        """What trains for a chunk, compiled before the clock runs."""
+        """Function that trains for a chunk, compiled before the clock runs."""
         num_iterations = self._solver.chunk_iterations
         train = jax.jit(lambda state: self._trainer.run(state, num_iterations))
         return train.lower(self._state).compile()
 
-    def _blame_mdp(self) -> None:
-        """Go through the last chunk again; raise ValueError where the MDP is to blame for it."""
+    def _check_mdp(self) -> None:
+        """Repeat the last chunk, and raise ValueError if the MDP returned a bad number in it."""
         state = self._state
         for _ in range(self._solver.chunk_iterations):
             if not _is_finite(state):
@@ -168,23 +171,24 @@ class Run:
             state, _ = self._trainer.run(state, 1)
 
     def _has_risen(self, num_chunks: int) -> bool:
-        """Return whether the KL of each of the last chunks is far above the least there was."""
+        """Return whether the KL of each of the last chunks is far above the least KL."""
         kl = [progress.kl for progress in self.history]
         highest = RISEN * min(kl, default=math.inf) + FAR
         return len(kl) >= num_chunks and min(kl[-num_chunks:]) > highest
 
     def _warn_of_rise(self) -> None:
+        """Warn that the KL has risen, and say which state is kept."""
         kl = [progress.kl for progress in self.history]
         warnings.warn(
             f"training diverged: the KL rose to {kl[-1]:.2g} nats after {len(kl)} chunks. The "
-            f"network of the least, {min(kl):.2g} nats after {1 + int(np.argmin(kl))} chunks, is "
-            f"kept. Lower learning_rate from {self._solver.learning_rate}",
+            f"network of the least KL, {min(kl):.2g} nats after {1 + int(np.argmin(kl))} chunks, "
+            f"is kept. Lower learning_rate from {self._solver.learning_rate}",
             RuntimeWarning,
             stacklevel=CALLER,
         )
 
     def _warn_of_standstill(self) -> None:
-        """Say so where a whole run has come no nearer to pi_0."""
+        """Warn if a whole run has come no nearer to pi_0."""
         kl = [progress.kl for progress in self.history]
         if len(kl) >= NUM_RISEN and FAR < NEARER * kl[0] <= kl[-1] < math.inf:
             warnings.warn(
@@ -196,8 +200,8 @@ class Run:
                 stacklevel=CALLER,
             )
 
-    def _diverged(self) -> None:
-        """Raise ValueError where nothing was learned yet, else say that the last state is kept."""
+    def _keep_last(self) -> None:
+        """Warn that training diverged; raise ValueError if no finite state can be kept."""
         iteration = len(self.history) * self._solver.chunk_iterations
         text = (
             f"training diverged after {iteration} iterations: a weight is not finite, though "
@@ -210,5 +214,5 @@ class Run:
 
 
 def _is_finite(state: Any) -> bool:
-    """Return whether all numbers that training carries are finite."""
+    """Return whether all numbers of a state of training are finite."""
     return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state))

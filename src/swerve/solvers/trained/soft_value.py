@@ -45,14 +45,15 @@ from swerve.solvers.trained.segments import Segment
 from swerve.solvers.trained.trainers import NetworkState, NetworkTrainer
 from swerve.solvers.trained.training import TrainedNominal, TrainingSolver
 
-PATIENCE = 15  # chunks without improvement after which training goes to its end
-IMPROVED = 0.97  # of the least KL so far
-SLACK = 1e-6  # relative, at the ends of the span of beta
-ADAPTING_SHARE = 0.1  # of the steps, for a round of adapting to one more known constraint
-ADAPTING_STEPS = 1_000_000  # of a round, at least, however easy the rest was to learn
-ADAPTING_ROUNDS = 5
-DOOMED = 100.0  # nats below the worst that there is without a constraint, of who has to enter it
-NUM_ASKED = 4096  # states, for that worst
+PATIENCE = 15  # chunks without improvement after which training goes on to its last part
+IMPROVED = 0.97  # share of the least KL so far that counts as improvement
+SLACK = 1e-6  # relative rounding error allowed at the ends of the span of beta
+ADAPTING_SHARE = 0.1  # share of num_steps for a round of adapting to a constraint in force
+ADAPTING_STEPS = 1_000_000  # environment steps of a round, at least, however few num_steps is
+ADAPTING_ROUNDS = 5  # at most
+DOOMED_MARGIN = 100.0
+"""Nats below the least unconstrained value, for states that cannot avoid the constraint."""
+NUM_ASKED = 4096  # states at which that least value is looked for
 
 
 @dataclass(frozen=True)
@@ -65,16 +66,16 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
       segment: L, steps of each lane between updates.
       explore: share of the lanes that start anywhere at any time.
       num_epochs: passes over a segment.
-      num_minibatches: G, updates a pass; has to divide the segment.
+      num_minibatches: G, updates a pass; must divide the segment.
       trace: lambda of the returns; 0 trusts the network, 1 the residuals along the segment.
-      learning_rate: at first, falling to a hundredth.
+      learning_rate: learning rate at first; it falls to a hundredth.
       width: of the two hidden layers.
-      loss_scale: nats; errors are divided by 1 + |target| / this.
+      loss_scale: nats; errors are divided by 1 + |target| / loss_scale.
       fade: share of the horizon in which the terminal reward fades to 1 / e of itself.
-      floor: of states from which a known constraint cannot be avoided, and of whatever is worse
-        [nats]. Far below what matters, but no further: the network has to follow the cliff.
-      beta_span: one network serves every beta from the problem's divided by this to that times it,
-        which takes longer to learn as well; 1 for that of the problem alone.
+      floor: least value [nats], given to states that cannot avoid a known constraint. Choose it far
+        below the values that matter, but no further: the network has to follow the cliff.
+      beta_span: one network serves every beta from the problem's beta / beta_span to beta *
+        beta_span, which takes longer to learn; 1 for the beta of the problem alone.
     """
 
     num_steps: int = 36_000_000
@@ -108,7 +109,7 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
         """Return the nominal distribution for another beta of the span.
 
         Raises:
-          ValueError: if beta is beyond the span.
+          ValueError: if beta is outside the span.
         """
         assert isinstance(nominal.policy, SoftValuePolicy)
         learned_for = nominal.policy.problem.beta
@@ -124,13 +125,13 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
         return replace(nominal, problem=problem, policy=policy)
 
     def covers(self, nominal: TrainedNominal, beta: float) -> bool:
-        """Return whether a nominal distribution was learned for a beta too."""
+        """Return whether a beta is in the span of a nominal distribution."""
         assert isinstance(nominal.policy, SoftValuePolicy)
         learned_for, span = nominal.policy.problem.beta, self.beta_span * (1.0 + SLACK)
         return learned_for / span <= beta <= learned_for * span
 
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> TrainedNominal:
-        """Return the nominal distribution whose `arrays` were stored."""
+        """Rebuild the nominal distribution whose `arrays` were stored."""
         nominal = super().restore(problem, arrays)
         policy = nominal.policy
         assert isinstance(policy, SoftValuePolicy)
@@ -138,21 +139,22 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
         return replace(nominal, policy=replace(policy, problem=learned_for))
 
     def trainer(self, problem: Problem, seed: int) -> SoftValueTrainer:
-        """Return what trains for a problem."""
+        """Return a trainer for a problem."""
         return SoftValueTrainer(problem, self, seed)
 
     def adapted(
         self, nominal: TrainedNominal, problem: Problem, seed: int
     ) -> Iterator[TrainedNominal]:
-        """Yield the nominal distribution of a problem with more known constraints, ever better.
+        """Yield nominal distributions of a problem with more known constraints, ever better ones.
 
-        Training goes on with these, from what was learned without them; it ends where it diverges.
+        Training goes on with these constraints from the network learned without them; the rounds
+        end early where training diverges.
         """
         num_steps = max(ADAPTING_STEPS, round(ADAPTING_SHARE * self.num_steps))
         assert isinstance(nominal.policy, SoftValuePolicy)
         floor = nominal.policy.settings.floor
         if floor == LOWEST:
-            floor = least_value(nominal.policy, seed) - DOOMED
+            floor = least_value(nominal.policy, seed) - DOOMED_MARGIN
         settings = replace(self, num_steps=num_steps, floor=floor)
         learned_for = nominal.policy.problem.beta
         trainer = settings.trainer(replace(problem, beta=learned_for), seed)
@@ -164,7 +166,7 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
                 return
             policy = trainer.policy(state.network).at(nominal.policy.log_beta)
             yield TrainedNominal(problem, self, policy, nominal.history)
-            state = state._replace(optimiser=first.optimiser)  # whose rate falls with each round
+            state = state._replace(optimiser=first.optimiser)  # the rate falls anew in each round
 
     def has_settled(self, history: list[Progress]) -> bool:
         """Return whether the KL has not improved for PATIENCE chunks."""
@@ -176,8 +178,10 @@ class SoftValuePolicy(LookAhead):
     """The look-ahead policy of the network, for all goals.
 
     Attributes:
-      settings: of the solver; the scale of values and how the terminal shape fades.
-      log_beta: log of the beta that it is for, relative to the problem's.
+      problem: problem that was learned.
+      settings: the solver: scale of the values, and how the terminal reward fades.
+      network: network that gives the soft value.
+      log_beta: log of the beta of the policy, relative to the problem's.
     """
 
     problem: Problem = eqx.field(static=True)
@@ -187,23 +191,23 @@ class SoftValuePolicy(LookAhead):
 
     @property
     def beta(self) -> Float[Array, ""]:
-        """Inverse temperature that it is for."""
+        """Inverse temperature of the policy."""
         return self.problem.beta * jnp.exp(self.log_beta)
 
     def at(self, log_beta: float | Float[Array, ""]) -> SoftValuePolicy:
-        """Return the policy for another beta, by its log relative to the problem's."""
+        """Return the policy for another beta, given its log relative to the problem's."""
         return SoftValuePolicy(self.problem, self.settings, self.network, jnp.asarray(log_beta))
 
     def value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, ""]:
-        """Return what the network adds to the terminal reward, which fades with time to go."""
+        """Return V: the sum of the network and of the fading terminal reward."""
         return self.value_of(*self.inputs(state, step, goal))
 
     def inputs(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> tuple[Float[Array, " F"], Float[Array, ""]]:
-        """Return the features of a state, and beta r_T as far as it has not faded [nats]."""
+        """Return the features of a state, and beta r_T, faded with the time to go [nats]."""
         mdp, settings = self.problem.mdp, self.settings
         share_to_go = (mdp.num_steps - step) / mdp.num_steps
         terminal = jnp.maximum(self.beta * mdp.terminal_reward(state, goal), LOWEST)
@@ -215,14 +219,14 @@ class SoftValuePolicy(LookAhead):
         return features, shape
 
     def value_of(self, features: Float[Array, " F"], shape: Float[Array, ""]) -> Float[Array, ""]:
-        """Return V of what `inputs` returns."""
+        """Return V for the numbers that `inputs` returns."""
         output = self.network(features)[0]
         learned = losses.value_of_output(output, self.settings.loss_scale)
         return jnp.maximum(learned + shape, self.settings.floor)
 
 
 class SoftValueTrainer(NetworkTrainer):
-    """One run."""
+    """One run of soft value learning."""
 
     settings: SoftValue
 
@@ -231,7 +235,7 @@ class SoftValueTrainer(NetworkTrainer):
         return SoftValuePolicy(self.problem, self.settings, network, jnp.zeros(()))
 
     def probed(self, state: NetworkState) -> list[tuple[SoftValuePolicy, float]]:
-        """Return the policies of the problem's beta, and of the ends of the span of betas."""
+        """Return the policies for the problem's beta and for the ends of the span of betas."""
         policy, span = self.policy(state.network), self.settings.beta_span
         factors = (1.0, 1.0 / span, span) if span > 1.0 else (1.0,)
         return [(policy.at(math.log(x)), x * self.problem.beta) for x in factors]
@@ -261,7 +265,7 @@ class SoftValueTrainer(NetworkTrainer):
         return (*inputs, target), residual
 
     def values(self, network: DenseNetwork) -> Any:
-        """Return what maps features [F, N] and shapes [N] to values [N]."""
+        """Return the function from features [F, N] and faded terminal rewards [N] to values [N]."""
         each = over_lanes(self.policy(network).value_of, -1, -1)
         return lambda inputs: each(*inputs)
 
@@ -273,10 +277,10 @@ class SoftValueTrainer(NetworkTrainer):
 
 
 def least_value(policy: SoftValuePolicy, seed: int) -> float:
-    """Return the least soft value of states anywhere at any time, on the way to any goal [nats].
+    """Return the least soft value of states anywhere at any time, with any goal [nats].
 
-    It is 0 at most. States from which a known constraint cannot be avoided do not count: the values
-    that were learned for them lie about LOWEST.
+    The result is 0 at most. States that cannot avoid a known constraint do not count: their learned
+    values lie near LOWEST.
     """
     mdp = policy.problem.mdp
     key_state, key_step, key_task = jax.random.split(jax.random.key(seed), 3)
