@@ -1,4 +1,4 @@
-"""The car's result on a small scale, and what it is made of."""
+"""The car's result on a small scale, and its parts."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_when_a_monitor_knows_for_good() -> None:
 
 
 def test_what_one_drive_says_and_seven_say() -> None:
-    """By evidence in which driving around each region is known."""
+    """The evidence is made up: the probability of driving around each region is given."""
     problem = car.model(car.FULL, 0.5)
     avoid = np.r_[np.full(14, 0.999), np.exp(np.linspace(-19.0, -6.0, 14))]
     states = np.array([[[0.0, 0.0, 0.0, 1.0], [0.0, 8.6, 0.0, 1.0]]])
@@ -83,7 +83,7 @@ def test_what_one_drive_says_and_seven_say() -> None:
     found = [verdict(car._single(evidence, drive).first) for drive in made]
     assert found.count(EXACT) > 6
     assert found.count(OTHER) <= 1
-    # of sets of seven the truth comes first unless all of one leave out the region before it too
+    # the truth comes first unless all seven drives leave out the region before it too
     entered = infer(evidence, made).entered
     assert not entered[:, TRUTH].any()
     assert car._seven_share(evidence, made, 0) > 0.9

@@ -1,4 +1,4 @@
-"""Golden output is told from altered output."""
+"""Comparison with golden output notices altered output."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_own_demonstrations_are_drawn_from_the_constrained_distribution() -> Non
     assert entered.shape == (500, len(world.problem.hypotheses))
     assert not entered[:, sorted(world.truth)].any()
     error = np.sqrt(exact * (1.0 - exact) / len(every))
-    telling = error > 0.005  # what is hardly ever or nearly always entered is not normal
+    telling = error > 0.005  # shares close to 0 or 1 are not normally distributed
     assert telling.sum() > 15
     assert (np.abs(entered.mean(axis=0) - exact) <= 4.5 * error)[telling].all()
     nominal_violation = evidence.violation_probability[0]
@@ -142,7 +142,7 @@ def test_files_hold_what_the_figures_show(golden: Path, tmp_path: Path) -> None:
             assert path.read_text().rstrip().endswith("</svg>")
     rows = read_csv(tmp_path / "out" / "gridworld_curves.csv")
     upper, lower = gridworld_figures.draw_curves(result).axes
-    assert len(upper.lines) == 5  # thresholds of [SS], that of the file, and the golden output
+    assert len(upper.lines) == 5  # thresholds of [SS] and of the file, and the golden output
     place = 0
     for rate, kl in zip(upper.lines, lower.lines, strict=True):
         some, place = rows[place : place + 3], place + 3

@@ -1,4 +1,4 @@
-"""People who walk around an obstacle: planted, real or none at all; input that cannot be used."""
+"""Tracks around a planted obstacle, a real one or none; files that cannot be used."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from swerve.solvers.exact.soft_paths import SoftPaths
 
 SIDE, CELL, CORNER = 6.0, 0.05, (-1.0, 2.0)  # m
 BETA = 11.0
-MIDDLE = (2.25, 4.875)  # of the planted obstacle, a square that is hypothesised
+MIDDLE = (2.25, 4.875)  # of the planted obstacle, one of the hypotheses
 OBSTACLE = ((0.21, 0.55), (0.79, 1.01), (1.19, 0.51), (0.61, 0.05))  # m, of the recorded room
 HEADER = "t,track,x,y\n"
 
 
 def write_room(folder: Path) -> None:
-    """Write the map of a square room with a wall that reaches out into it."""
+    """Write the map of a square room with a wall that reaches into it."""
     size = round(SIDE / CELL)
     free = np.ones((size, size))
     free[:, [0, -1]] = free[[0, -1]] = 0.0
@@ -98,7 +98,7 @@ def first_pick(answer: human_walk.Answer) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def planted(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """What is found where there is an obstacle."""
+    """The result for tracks around a planted obstacle."""
     folder = folder_of(tmp_path_factory.mktemp("planted"), sampled(True, 0))
     return human_walk.reproduce(folder, is_quick=True)
 
@@ -149,7 +149,7 @@ def test_gains_add_up(planted: Result) -> None:
 def test_belief_moves_with_the_number_of_tracks(planted: Result) -> None:
     belief, inference = planted.belief, planted.answer.inference
     assert belief.sizes[-1] == len(inference.demonstrations)
-    np.testing.assert_allclose(belief.none[-1], inference.posterior.none)  # all subsets are one
+    np.testing.assert_allclose(belief.none[-1], inference.posterior.none)  # the whole set
     assert belief.gain.mean(axis=1)[-1] == pytest.approx(planted.answer.picks[0].total_gain)
     assert belief.near.mean(axis=1)[0] < 0.1 < 0.9 < belief.near.mean(axis=1)[-1]
     one = inference.contributions[:1].sum(axis=0)

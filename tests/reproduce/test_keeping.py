@@ -1,4 +1,4 @@
-"""What takes long is kept: whose it is, and how long it took."""
+"""Folders of slow results: their scale and version, and wall times."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def test_interrupted_times_add_up_and_finished_ones_stand(
     with Clock(path).timing("learn"):
         now[0] += 4.0
     with Clock(path).timing("learn"):
-        now[0] += 50.0  # it finds what finished before
+        now[0] += 50.0  # a later run, which loads the finished result
     with Clock(path).timing("sample"):
         now[0] += 0.5
     assert Clock(path).seconds == {"learn": 7.0, "sample": 0.5}
-    for of in ("others", "others"):  # what is done to something else is timed anew, once
+    for of in ("others", "others"):  # other inputs are timed again, once
         with Clock(path).timing("sample", of):
             now[0] += 2.0
     assert Clock(path).seconds == {"learn": 7.0, "sample": 2.0}

@@ -1,4 +1,4 @@
-"""The pendulum's result on a small scale: files, what is kept, what is refused."""
+"""The pendulum's result on a small scale: files, kept results, refused input."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def theirs(tmp_path: Path, shared_data: Path) -> Path:
-    """Three of the authors' demonstrations, with what is exact for them."""
+    """Three of the authors' demonstrations, with their exact probabilities."""
     folder = tmp_path / "theirs"
     folder.mkdir()
     for name in ("demo_002.csv", "demo_006.csv", "demo_009.csv", "tasks.csv"):
@@ -50,7 +50,7 @@ def test_files_and_resuming(
     command = ("reproduce", "pendulum", "--quick", "--out", tmp_path / "out", "--data", theirs)
     partial = tmp_path / "out" / "work" / "pendulum" / "quick.seed0" / "C1.partial"
     partial.mkdir(parents=True)
-    (partial / "demo_000.csv").write_text("cut sh")  # of a run that was interrupted
+    (partial / "demo_000.csv").write_text("cut sh")  # left by an interrupted run
     status, printed, said = run(*command)
     assert status == 0, said
     assert "C2, where it falls; torques to 10" in printed
@@ -149,7 +149,7 @@ def test_demonstrations_avoid_their_cells(tmp_path: Path, theirs: Path) -> None:
             assert np.linalg.norm(missed) < 0.06
             starts.append(tuple(one.states[0].round(4).tolist()))
     assert len(set(starts)) == 9
-    # of two tables for the same demonstrations one is left, with the lower average rank
+    # of two tables for the same demonstrations, the one of lower average rank is left
     kept = [one for one in result.answers if one.way.name == DISCRETE]
     assert [one.source for one in kept] == ["C1", "C2", "real"]
     worse = kept[0]._replace(curve=kept[0].curve._replace(rank=kept[0].curve.rank + 1.0))
@@ -170,7 +170,7 @@ def test_exact_files_give_the_nats_of_the_method(shared_data: Path) -> None:
     np.testing.assert_allclose(
         exact.nats[list(pendulum.FOLLOWED)], [13.4, 4.7, 4.3, 3.1], atol=0.06
     )
-    # average ranks and shares of first places over 200 subsets; there they are over 2,000
+    # average ranks and shares of first places over 200 subsets; in METHOD over 2,000
     for size, rank, first in ((1, 17.9, 0.03), (3, 9.1, 0.08), (10, 2.2, 0.39), (30, 1.0, 0.99)):
         place = exact.curve.sizes.index(size)
         spread = 0.6 * rank * np.sqrt(1 / 200 + 1 / 2_000)  # of ranks, nearly exponential
@@ -203,7 +203,7 @@ def test_another_seed_makes_others_and_another_number_is_refused(
     starts = [one.sources[0].demonstrations[0].states[0] for one in (first, second)]
     assert not np.allclose(*starts)
     seconds = pendulum.reproduce(tmp_path, is_quick=True).seconds
-    assert seconds == first.seconds  # what is found again takes no time
+    assert seconds == first.seconds  # a loaded result takes no time
     monkeypatch.setattr(pendulum, "QUICK", SMALL)
     with pytest.raises(ValueError, match="with other settings: remove the folder"):
         pendulum.reproduce(tmp_path, is_quick=True)

@@ -1,4 +1,4 @@
-"""Ranks of the truth: averages over all subsets, and those of inference on the same subsets."""
+"""Ranks of the truth equal averages over all subsets, and inference on the same subsets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRUTH = 1  # cell (1, 0), on the shortest way
 
 
 def rank(score: np.ndarray, truth: int) -> float:
-    """By sorting: the mean place of all that score as the truth does."""
+    """Return the rank by sorting: the mean place of all hypotheses that tie with the truth."""
     ordered = -np.sort(-score)
     same = np.isneginf(ordered) if np.isneginf(score[truth]) else np.isclose(ordered, score[truth])
     return 1.0 + float(np.flatnonzero(same).mean())
@@ -79,7 +79,7 @@ def test_a_curve_falls_and_knows_its_error() -> None:
             for k in range(1, 13)
         )
     ]
-    assert 0.4 < np.std(others, ddof=1) / found.error[1] < 2.5  # over other demonstrations
+    assert 0.4 < np.std(others, ddof=1) / found.error[1] < 2.5  # over other sets of demonstrations
 
 
 def test_what_no_trajectory_tells_apart_is_a_tie() -> None:

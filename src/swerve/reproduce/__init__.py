@@ -1,1 +1,1 @@
-"""Published results, regenerated from nothing; one module each."""
+"""Published results, made from nothing: a folder for each result; what they share lies beside."""

@@ -11,20 +11,20 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from swerve.base import store
+from swerve.base.files import write_bytes, write_text
 from swerve.demonstrations.tables import csv_text
 
-WIDTH = 3.5  # in, a column of a paper
-SIZE, SMALL = 8.0, 7.0  # pt
+WIDTH = 3.5  # in: width of a column of a paper
+SIZE, SMALL = 8.0, 7.0  # pt: font sizes of titles and axis labels, and of ticks and legends
 
 
 class Part(NamedTuple):
-    """A figure and what is behind it.
+    """A figure and its numbers.
 
     Attributes:
-      name: of the files.
+      name: name of the files, without a suffix.
       figure: the picture.
-      rows: of the numbers in it, the first of titles.
+      rows: rows of the numbers in the picture, the first of titles.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Part(NamedTuple):
 
 
 def column(height: float) -> Figure:
-    """Return a figure as wide as a column, of some height [in]."""
+    """Return an empty figure as wide as a column, with a height [in]."""
     figure = Figure((WIDTH, height), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -43,24 +43,27 @@ def write(folder: Path, parts: Sequence[Part], tables: Mapping[str, str]) -> lis
     """Write figures as PNG and SVG, the rows of their numbers as CSV, and tables as Markdown.
 
     Args:
-      folder: created if need be.
+      folder: created where it does not exist.
       parts: the figures.
-      tables: Markdown by the name of its file, which the documentation shows as it is.
+      tables: Markdown by the name of its file; the documentation shows these files unchanged.
+
+    Returns:
+      The paths of the files.
 
     Raises:
-      OSError: if one cannot be written; files are replaced when complete.
+      OSError: if a file cannot be written; a file is replaced only when complete.
     """
     written = []
     for name, figure, rows in parts:
         assert len({len(row) for row in rows}) == 1, name  # columns under their own names
         path = folder / name
-        store.write_text(path.with_suffix(".csv"), csv_text(rows))
-        store.write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))
-        store.write_bytes(path.with_suffix(".png"), _rendered(figure, "png"))
+        write_text(path.with_suffix(".csv"), csv_text(rows))
+        write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))
+        write_bytes(path.with_suffix(".png"), _rendered(figure, "png"))
         written += [path.with_suffix(suffix) for suffix in (".png", ".svg", ".csv")]
     for name, text in tables.items():
         written.append(folder / f"{name}.md")
-        store.write_text(written[-1], text)
+        write_text(written[-1], text)
     return written
 
 
@@ -71,13 +74,13 @@ def markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def time_table(seconds: dict[str, float]) -> str:
-    """Return how long what took as Markdown."""
+    """Return a table of wall times [s] by name, as Markdown."""
     rows = [[name, f"{value:.0f} s"] for name, value in seconds.items()]
     return markdown(["what", "wall time"], rows)
 
 
 def _rendered(figure: Figure, form: str) -> bytes:
-    """Return a picture whose bytes depend on nothing but what it shows."""
+    """Return the bytes of a picture, without date or random ids, equal for equal figures."""
     buffer = io.BytesIO()
     metadata = {"Date": None} if form == "svg" else None
     with mpl.rc_context({"svg.hashsalt": "swerve"}):

@@ -1,4 +1,4 @@
-"""What takes long is kept, with the time that it took, also in parts."""
+"""Folders that keep slow results, with the wall time of each, also over interruptions."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from swerve.base import store
 
 
 class Clock:
-    """Seconds by name, kept in a file.
+    """Wall time [s] of each piece of work by its name, kept in a file.
 
-    What was interrupted is added up when it goes on, unless the process was killed outright; what
-    has finished is found again afterwards, and that does not count.
+    The times of a piece of work that is interrupted and continued add up, unless the process is
+    killed. A finished piece of work is not timed again: a later run only loads its result.
 
     Args:
-      path: of the file.
+      path: path of the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,11 +30,11 @@ class Clock:
 
     @contextmanager
     def timing(self, name: str, of: str = "") -> Iterator[None]:
-        """Add what the block takes to what is called so, unless it finished before.
+        """Add the time of the block to the time under its name, unless the block finished before.
 
         Args:
-          name: what it is called.
-          of: what it is done to; time begins anew where that is something else than before.
+          name: name of the piece of work.
+          of: mark of its inputs; the time starts again from 0 where the mark has changed.
         """
         if self._finished.get(name) == of:
             yield
@@ -51,12 +51,12 @@ class Clock:
 
 
 class Keeping(NamedTuple):
-    """Where a result is made, and how.
+    """Folder and settings of one run of a result.
 
     Attributes:
-      folder: of what takes long, which is found again there.
-      clock: of it.
-      seed: of everything random.
+      folder: folder that keeps slow results.
+      clock: wall times of the run.
+      seed: seed of everything random.
       progress: whether to show progress bars.
     """
 
@@ -67,17 +67,17 @@ class Keeping(NamedTuple):
 
     @classmethod
     def at(cls, folder: Path, name: str, scale: Any, seed: int, progress: bool) -> Keeping:
-        """Return that of one size and seed, in a folder of all sizes and seeds.
+        """Return the folder and settings of a run of one scale and seed, creating its folder.
 
         Args:
-          folder: of all of them.
-          name: of the size.
-          scale: how much is done; its text is kept, to be compared.
-          seed: of everything random.
+          folder: parent folder of all scales and seeds.
+          name: name of the scale.
+          scale: amount of work; its text is stored, to notice a change.
+          seed: seed of everything random.
           progress: whether to show progress bars.
 
         Raises:
-          ValueError: if what is there was made by another version, or with another scale.
+          ValueError: if the folder was filled by another version, or with another scale.
         """
         place = folder / f"{name}.seed{seed}"
         place.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ class Keeping(NamedTuple):
             store.write_json(path, made_by)
         elif store.read_json(path) != made_by:
             raise ValueError(
-                f"{place}: holds what another version of Swerve made, or with other settings: "
-                "remove it, or choose another folder"
+                f"{place}: was filled by another version of Swerve, or with other settings: remove "
+                "the folder, or choose another one"
             )
         return cls(place, Clock(place / "seconds.json"), seed, progress)

@@ -24,15 +24,15 @@ STYLES: dict[str, dict[str, Any]] = {
     EXACT: {"color": INK, "ls": "none", "marker": "o", "ms": 6.0, "mfc": "none"},
 }
 LABELS = {GRID: "grid, exact", PPO: "PPO, plain average"}
-SHOWN = (1, 3, 5, 10, 20, 30, 65)  # sizes in the table
+SHOWN = (1, 3, 5, 10, 20, 30, 65)  # numbers of demonstrations in the table
 
 
 class Line(NamedTuple):
     """One curve of a panel.
 
     Attributes:
-      way: how it is drawn, and what the legend calls it.
-      name: what tables call it.
+      way: name of the way, which sets line style and legend.
+      name: name in tables.
       curve: the ranks.
     """
 
@@ -42,12 +42,12 @@ class Line(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """Curves of the same demonstrations.
+    """Curves of one set of demonstrations by one model.
 
     Attributes:
-      source: their name.
-      model: by what model.
-      title: above the panel.
+      source: name of the demonstrations.
+      model: the problem, as the command line names it.
+      title: title above the panel.
       lines: the curves.
     """
 
@@ -63,7 +63,7 @@ def lines_of(answers: Sequence[Answer]) -> list[Line]:
 
 
 def way_name(answer: Answer) -> str:
-    """Return what a way is called, with the settings of a table."""
+    """Return the name of a way, for a table with its settings."""
     name = answer.way.name
     if name != DISCRETE:
         return LABELS.get(name, name)
@@ -73,7 +73,7 @@ def way_name(answer: Answer) -> str:
 
 
 def rank_rows(panels: Sequence[Panel]) -> list[list[str]]:
-    """Return the rows of a table of what panels show."""
+    """Return the numbers of panels as rows of a table."""
     rows = [["demonstrations", "model", "way", "num_demonstrations", "average_rank",
              "interval_low", "interval_high", "first_share"]]  # fmt: skip
     for panel in panels:
@@ -108,7 +108,7 @@ def draw_ranks(panels: Sequence[Panel]) -> Figure:
 
 
 def _scales(axes: Axes, most: int, highest: float) -> None:
-    """Give both axes plain numbers on a logarithmic scale."""
+    """Set both axes to logarithmic scales with plain numbers."""
     size_scale(axes, most)
     axes.set(yscale="log", ylim=(0.9, max(60.0, 1.1 * highest)))
     axes.set_ylabel("average rank of the truth", fontsize=SIZE)
@@ -118,7 +118,7 @@ def _scales(axes: Axes, most: int, highest: float) -> None:
 
 
 def size_scale(axes: Axes, most: int) -> None:
-    """Give an axis of numbers of demonstrations plain numbers on a logarithmic scale."""
+    """Set the x axis, numbers of demonstrations, to a logarithmic scale with plain numbers."""
     axes.set(xscale="log", xlim=(0.9, 1.1 * most))
     sizes = [size for size in (1, 2, 5, 10, 20, 50) if size <= most]
     axes.set_xticks(sizes, labels=[str(size) for size in sizes])
@@ -140,7 +140,7 @@ def rank_table(panels: Sequence[Panel]) -> str:
 
 
 def _cell(curve: Curve, size: int) -> str:
-    """Return average rank and its interval."""
+    """Return the average rank and its interval as text; "" where there is none."""
     if size not in curve.sizes:
         return ""
     place = curve.sizes.index(size)
@@ -149,7 +149,7 @@ def _cell(curve: Curve, size: int) -> str:
 
 
 def rank_text(panels: Sequence[Panel]) -> str:
-    """Return what the terminal shows: the average ranks."""
+    """Return the average ranks as text for the terminal."""
     lines = ["average rank of the truth by the number of demonstrations"]
     for panel in panels:
         lines.append(panel.title)

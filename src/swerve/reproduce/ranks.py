@@ -2,8 +2,8 @@
 
     rank = 1 + |{h: S_h > S_truth}| + |{h: S_h = S_truth, h not the truth}| / 2,
 
-where S_h adds up what the demonstrations of a random subset say, and is -inf where one of them
-enters h. The paper takes an average of the same in place of the sum, which ranks alike.
+where S_h is the sum of the scores of h over the demonstrations of a random subset, and -inf where
+one of them enters h. The paper takes the average in place of the sum, which gives the same ranks.
 
 Shapes: D demonstrations, H hypotheses, L sizes of subsets, R subsets of a size.
 """
@@ -14,20 +14,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve.inference.ranking import Inference
+from swerve.answer import Inference
 
-NUM_TRIALS = 200  # subsets of a size, as in the paper
-NUM_BOOTSTRAPS = 100  # sets of demonstrations drawn anew, with repetition
-Z = 1.96  # standard errors to either side, 95 %
-NOISE = 5  # trajectories: where fewer enter, chance decides whether there are any
+NUM_TRIALS = 200  # subsets of each size, as in the paper
+NUM_BOOTSTRAPS = 100  # bootstrap samples of the demonstrations, with repetition
+Z = 1.96  # standard errors to either side, for a 95 % interval
+NOISE = 5  # trajectories: where fewer are expected to enter, chance decides whether any does
 
 
 class Judged(NamedTuple):
-    """What each demonstration says of each hypothesis.
+    """Scores of each hypothesis by each demonstration.
 
     Attributes:
-      score: [D, H] larger for hypotheses that it speaks for.
-      entered: [D, H] whether it rules the hypothesis out.
+      score: [D, H] scores; a larger one supports the hypothesis more.
+      entered: [D, H] whether the demonstration rules the hypothesis out.
     """
 
     score: np.ndarray
@@ -39,10 +39,11 @@ class Curve(NamedTuple):
 
     Attributes:
       sizes: [L] numbers of demonstrations.
-      rank: [L] average over subsets.
-      error: [L] standard error of that, by bootstrap over the demonstrations; too large where
-        subsets hold more than a third of these, which resamples hold but in part.
-      first: [L] share of the subsets in which the truth comes first, alone.
+      rank: [L] average rank over subsets.
+      error: [L] standard error of the average, by bootstrap over the demonstrations; too large
+        where a subset holds more than a third of the demonstrations, since a bootstrap sample
+        holds only a part of them.
+      first: [L] share of the subsets in which the truth alone comes first.
     """
 
     sizes: list[int]
@@ -57,16 +58,16 @@ class Curve(NamedTuple):
 
 
 def noise_of(num_trajectories: int) -> float:
-    """Return the violation probability below which it counts as 0."""
+    """Return the violation probability below which probabilities count as 0."""
     return NOISE / num_trajectories
 
 
 def judged(result: Inference, noise: float) -> Judged:
-    """Return what each demonstration of an inference adds to its score.
+    """Return the scores that each demonstration of an inference adds.
 
     Args:
-      result: by likelihood or by the paper's average.
-      noise: violation probabilities below count as 0.
+      result: inference by likelihood or by the paper's average.
+      noise: violation probability below which probabilities count as 0.
     """
     evidence, task_of = result.evidence, result.task_of
     violation = evidence.violation_probability[task_of]
@@ -79,47 +80,47 @@ def judged(result: Inference, noise: float) -> Judged:
 
 
 def ranks(
-    said: Judged, truth: int, size: int, num_trials: int, generator: np.random.Generator
+    scores: Judged, truth: int, size: int, num_trials: int, generator: np.random.Generator
 ) -> np.ndarray:
     """Return the rank of the truth [R] by random subsets of the demonstrations, ties half.
 
     Args:
-      said: by each demonstration.
+      scores: scores by each demonstration.
       truth: index of the true hypothesis.
-      size: demonstrations of a subset, at most D.
-      num_trials: R.
-      generator: of the subsets.
+      size: number of demonstrations of a subset, at most D.
+      num_trials: R, the number of subsets.
+      generator: random generator of the subsets.
     """
-    num = len(said.score)
+    num = len(scores.score)
     subsets = generator.permuted(np.tile(np.arange(num), (num_trials, 1)), axis=1)[:, :size]
     counts = np.zeros((num_trials, num))
     np.put_along_axis(counts, subsets, 1.0, axis=1)
-    total = np.where(counts @ said.entered > 0.0, -np.inf, (counts @ said.score).round(9))
+    total = np.where(counts @ scores.entered > 0.0, -np.inf, (counts @ scores.score).round(9))
     true = total[:, truth, None]
     return 0.5 + (total > true).sum(axis=1) + 0.5 * (total == true).sum(axis=1)
 
 
 def curve(
-    said: Judged, truth: int, sizes: list[int], *, num_trials: int = NUM_TRIALS, seed: int = 0
+    scores: Judged, truth: int, sizes: list[int], *, num_trials: int = NUM_TRIALS, seed: int = 0
 ) -> Curve:
     """Return the average rank of the truth against the number of demonstrations.
 
     Args:
-      said: by each demonstration.
+      scores: scores by each demonstration.
       truth: index of the true hypothesis.
       sizes: [L] numbers of demonstrations, each at most D.
-      num_trials: R, subsets of each size.
-      seed: of subsets and bootstrap.
+      num_trials: R, the number of subsets of each size.
+      seed: seed of subsets and bootstrap.
 
     Returns:
-      The curve; a truth that is ruled out ranks behind all that is left.
+      The curve; a truth that is ruled out ranks behind all hypotheses that are not.
     """
-    generator, num = np.random.default_rng(seed), len(said.score)
-    found = [ranks(said, truth, size, num_trials, generator) for size in sizes]
+    generator, num = np.random.default_rng(seed), len(scores.score)
+    found = [ranks(scores, truth, size, num_trials, generator) for size in sizes]
     again = np.empty((NUM_BOOTSTRAPS, len(sizes)))
     for row in again:
-        drawn = generator.integers(num, size=num)
-        others = Judged(said.score[drawn], said.entered[drawn])
+        chosen = generator.integers(num, size=num)
+        others = Judged(scores.score[chosen], scores.entered[chosen])
         row[:] = [ranks(others, truth, size, num_trials, generator).mean() for size in sizes]
     rank = np.array([one.mean() for one in found])
     first = np.array([(one == 1.0).mean() for one in found])

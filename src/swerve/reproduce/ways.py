@@ -1,4 +1,4 @@
-"""Ways to infer, each asked of the same demonstrations."""
+"""Ways to infer, each applied to the same demonstrations."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import zlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from swerve.answer import Inference, infer
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.inference.ranking import Inference, infer
 from swerve.reproduce.keeping import Keeping
 from swerve.reproduce.ranks import Curve, curve, judged, noise_of
 from swerve.solvers.exact.tabular import TableNominal
 from swerve.work.settings import Settings
 from swerve.work.work import Work
 
+# numbers of demonstrations in a curve
 SIZES = (1, 2, 3, 5, 8, 10, 15, 20, 30, 40, 50, 65)
 SOFT_VALUE, GRID, PPO, DISCRETE = "soft value + SMC", "grid", "PPO", "MLCI-Discrete"
 
@@ -23,10 +24,10 @@ class Way(NamedTuple):
     """A way to infer.
 
     Attributes:
-      name: what it is called.
-      solver: as the command line names it.
-      method: of sampling.
-      score: of several demonstrations.
+      name: name of the way in figures and tables.
+      solver: solver, as the command line names it.
+      method: method of sampling; None for exact answers.
+      score: score of several demonstrations, "likelihood" or the paper's "average".
     """
 
     name: str
@@ -36,22 +37,22 @@ class Way(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What its times are called: of tables there are several."""
+        """Name of the way in tables of times; the solver for MLCI-Discrete, which has several."""
         return self.solver if self.name == DISCRETE else self.name
 
     def settings(self, num_trajectories: int, seed: int) -> Settings:
-        """Return how to learn and sample; of exact answers there are no trajectories."""
+        """Return the settings to learn and sample with; exact answers need no trajectories."""
         num = None if self.method is None else num_trajectories
         return Settings(self.solver, seed, self.method, num)
 
 
 class Source(NamedTuple):
-    """Demonstrations.
+    """A set of demonstrations that avoid one hypothesis.
 
     Attributes:
-      name: what they are called.
-      demonstrations: of whoever avoids the truth.
-      truth: index of a hypothesis.
+      name: name of the set.
+      demonstrations: the demonstrations.
+      truth: index of the hypothesis.
     """
 
     name: str
@@ -60,16 +61,16 @@ class Source(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What one way says of one set of demonstrations.
+    """Answer of one way for one set of demonstrations.
 
     Attributes:
-      source: the name of the demonstrations.
+      source: name of the set.
       model: the problem, as the command line names it.
-      way: to infer.
-      curve: rank of the truth.
-      result: of all demonstrations together.
-      learn_seconds: wall time before any demonstration.
-      task_seconds: wall time for the task of each demonstration, on average.
+      way: the way to infer.
+      curve: rank of the truth against the number of demonstrations.
+      result: inference from all demonstrations together.
+      learn_seconds: wall time of learning.
+      task_seconds: mean wall time of sampling for the task of one demonstration.
     """
 
     source: str
@@ -89,18 +90,18 @@ def infer_from(
     num_trajectories: int,
     sources: Sequence[Source],
 ) -> list[Answer]:
-    """Return what one way says of several sets of demonstrations.
+    """Return the answers of one way for several sets of demonstrations.
 
     Args:
-      keeping: where the folder of the model is.
-      place: name of that folder, by which times are called too.
+      keeping: parent folder and settings.
+      place: name of the folder of the model; also the first part of names of times.
       model: the problem, as the command line names it.
-      way: to infer.
-      num_trajectories: of each task.
+      way: the way to infer.
+      num_trajectories: number of trajectories of each task.
       sources: the sets.
     """
-    asked = way.settings(num_trajectories, keeping.seed)
-    work = Work(model, keeping.folder / place, asked, progress=keeping.progress)
+    settings = way.settings(num_trajectories, keeping.seed)
+    work = Work(model, keeping.folder / place, settings, progress=keeping.progress)
     clock, label = keeping.clock, f"{place.replace('_', ' ')}: {way.label}"
     learn = f"{label}, learn"
     with clock.timing(learn):
@@ -108,27 +109,27 @@ def infer_from(
     found = []
     for source in sources:
         moved = source.demonstrations
-        if isinstance(nominal, TableNominal):  # to the centres of its cells, as its authors do
+        if isinstance(nominal, TableNominal):  # to the centres of cells, as the method's authors do
             moved = [nominal.snapped(one) for one in moved]
-        draw = f"{label}, sample {source.name}"
+        timed = f"{label}, sample {source.name}"
         tasks = Task.stack([one.task for one in moved])
-        with clock.timing(draw, _mark(tasks)):
+        with clock.timing(timed, _mark(tasks)):
             evidence = work.evidence(tasks)
         result = infer(evidence, moved, score=way.score)
-        said = judged(result, noise_of(num_trajectories))
-        drawn = curve(said, source.truth, sizes_of(len(moved)), seed=keeping.seed)
-        seconds = clock.seconds[learn], clock.seconds[draw] / len(moved)
-        found.append(Answer(source.name, model, way, drawn, result, *seconds))
+        scores = judged(result, noise_of(num_trajectories))
+        ranks = curve(scores, source.truth, sizes_of(len(moved)), seed=keeping.seed)
+        seconds = clock.seconds[learn], clock.seconds[timed] / len(moved)
+        found.append(Answer(source.name, model, way, ranks, result, *seconds))
     return found
 
 
 def sizes_of(num: int) -> list[int]:
-    """Return the numbers of demonstrations to ask of, out of so many."""
+    """Return the numbers of demonstrations in a curve, out of `num`."""
     return [size for size in SIZES if size <= num]
 
 
 def best_tables(answers: list[Answer]) -> list[Answer]:
-    """Return answers with, of several tables for the same, the one of the least average rank."""
+    """Return the answers with the best table alone: the one of the least average rank."""
     best: dict[tuple[Any, ...], Answer] = {}
     for answer in answers:
         key = (answer.source, answer.model, answer.way.name)
@@ -138,14 +139,15 @@ def best_tables(answers: list[Answer]) -> list[Answer]:
 
 
 def answers_of(answers: Sequence[Answer], source: str, model: str) -> list[Answer]:
-    """Return the answers about some demonstrations by one model."""
+    """Return the answers for one set of demonstrations by one model."""
     return [one for one in answers if one.source == source and one.model == model]
 
 
 def _mark(tasks: Task) -> str:
-    """Return what tells tasks from others."""
+    """Return a mark that differs for other tasks."""
     return f"{zlib.crc32(tasks.start.tobytes() + tasks.goal.tobytes()):08x}"
 
 
 def _average(answer: Answer) -> float:
+    """Return the rank of the truth, averaged over the curve."""
     return float(answer.curve.rank.mean())

@@ -1,1 +1,1 @@
-"""Package."""
+"""The car: which part of the track a swerving driver avoids."""

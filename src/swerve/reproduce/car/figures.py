@@ -1,4 +1,4 @@
-"""Figures, tables and files of the car; nothing is computed but counts.
+"""Figures, tables and files of the car's result. They compute only counts and means.
 
 Shapes: D drives, H hypotheses.
 """
@@ -39,8 +39,8 @@ from swerve.reproduce.files import SIZE, SMALL, Part, column, markdown, time_tab
 from swerve.systems.car import GOAL_LINE, TRACK
 
 VERDICTS = (EXACT, NEXT, OTHER, TIED)
-PAPER = {EXACT: "3", NEXT: "4", OTHER: "0", TIED: ""}  # of seven drives
-MOST_DRAWN = 40  # drives in the picture
+PAPER = {EXACT: "3", NEXT: "4", OTHER: "0", TIED: ""}  # counts in the paper, of seven drives
+MOST_DRAWN = 40  # largest number of drives in the picture, to keep it readable
 
 
 def parts(result: Result) -> list[Part]:
@@ -70,9 +70,9 @@ def corners(result: Result) -> np.ndarray:
 
 
 def counts(singles: Sequence[Single]) -> dict[str, int]:
-    """Return for how many drives the first region is the true one, next to it, or another.
+    """Return the number of drives by verdict on their first region: exact, next to it, other, tied.
 
-    Where several share the first place it is none of these, but tied.
+    A first place that several regions share counts as tied.
     """
     found = Counter(TIED if one.tied > 1 else verdict(one.first) for one in singles)
     return {name: found[name] for name in VERDICTS}
@@ -84,7 +84,7 @@ def mean_posterior(singles: Sequence[Single]) -> np.ndarray:
 
 
 def region_rows(result: Result) -> list[list[str]]:
-    """Return the rows of a table of what is believed of each region."""
+    """Return the rows of a table of each region: its corners, evidence and posterior."""
     single, seven = mean_posterior(result.singles), result.seven.posterior
     rows = [["region", "x_low_m", "x_high_m", "y_low_m", "y_high_m", "log_avoid_nats",
              "is_bound", "posterior_of_one_drive", "posterior_of_seven"]]  # fmt: skip
@@ -98,7 +98,7 @@ def region_rows(result: Result) -> list[list[str]]:
 
 
 def drive_rows(result: Result) -> list[list[str]]:
-    """Return the rows of a table of what each drive tells, and when."""
+    """Return the rows of a table of each drive: its first region, and when a monitor knew."""
     rows = [["drive", "first", "is", "tied", "bounds", "y_exact_m", "y_near_m", "paper_beta_first",
              "paper_beta_tied"]]  # fmt: skip
     every = zip(result.drives, result.singles, result.early, result.paper, strict=True)
@@ -111,7 +111,7 @@ def drive_rows(result: Result) -> list[list[str]]:
 
 
 def draw_track(result: Result) -> Figure:
-    """Draw the drives, and what one of them and seven together say of each region."""
+    """Draw the drives, and the posterior of each region after one drive and after seven."""
     figure = column(4.4)
     left, right = figure.subplots(1, 2, sharey=True)
     seven = result.seven.posterior.hypotheses
@@ -140,6 +140,7 @@ def draw_track(result: Result) -> Figure:
 
 
 def _shade(axes: Axes, sides: np.ndarray, value: float) -> None:
+    """Draw a region in the colour of its posterior, with the number where it is 0.05 or more."""
     x_low, x_high, y_low, y_high = sides
     size = (x_high - x_low, y_high - y_low)
     colour = COLOURS(value)
@@ -153,6 +154,7 @@ def _shade(axes: Axes, sides: np.ndarray, value: float) -> None:
 
 
 def _outline(axes: Axes) -> None:
+    """Draw the obstacle as a hatched rectangle."""
     (x_low, x_high), (y_low, y_high) = OBSTACLE.intervals["x"], OBSTACLE.intervals["y"]
     size = (x_high - x_low, y_high - y_low)
     style = {"fill": False, "edgecolor": INK, "lw": 1.6, "hatch": "////", "alpha": 0.8}
@@ -183,6 +185,7 @@ def draw_early(result: Result) -> Figure:
 
 
 def _count_table(result: Result) -> str:
+    """Return a table of how often the first region is the true one, as Markdown."""
     beta, num = result.evidence.problem.beta, len(result.drives)
     theirs = [PAPER[name] for name in VERDICTS]
     rows = [[f"the paper, beta {PAPER_BETA:g}", str(SEVEN), *theirs, "", ""]]
@@ -201,6 +204,7 @@ def _count_table(result: Result) -> str:
 
 
 def _fact_table(result: Result) -> str:
+    """Return a table of single measurements, as Markdown."""
     fit, front = result.fit, OBSTACLE.intervals["y"][0]
     near, exact = (
         np.array([getattr(one, field) for one in result.early]) for field in ("near", "exact")
@@ -229,11 +233,12 @@ def _fact_table(result: Result) -> str:
 
 
 def _share(evidence: Evidence) -> str:
+    """Return the effective sample size and the number of trajectories as text."""
     return f"{evidence.effective_sample_size[0]:.0f} of {evidence.num_trajectories}"
 
 
 def _median(values: np.ndarray) -> str:
-    """Return the median, those that never know counted as the largest."""
+    """Return the median as text; drives of which a monitor never knows count as the largest."""
     middle = float(np.median(np.where(np.isnan(values), math.inf, values)))
     return f"{middle:.2f}" if math.isfinite(middle) else "never"
 
@@ -246,21 +251,21 @@ def _ends(result: Result) -> tuple[float, float]:
 
 
 def _region_table(result: Result) -> str:
-    """Return what driving around each region of the right lane costs."""
+    """Return a table of the probability of avoiding each region of the right lane, as Markdown."""
     evidence = result.evidence
     rows = []
     for index, (x_low, _, low, high) in enumerate(corners(result)):
         if x_low > TRACK[0]:
-            told = f"{evidence.log_ratio[0, index]:.1f}"
+            value = f"{evidence.log_ratio[0, index]:.1f}"
             error = f" ± {evidence.standard_error[0, index]:.1f}"
             is_bound = evidence.is_floored[0, index]
-            shown = f"< {told}" if is_bound else told + error
+            shown = f"< {value}" if is_bound else value + error
             rows.append([f"{low:.2f} to {high:.2f}", shown])
     return markdown(["right lane, y [m]", "log probability of avoiding it [nats]"], rows)
 
 
 def text(result: Result) -> str:
-    """Return what the terminal shows."""
+    """Return the main measurements as text for the terminal."""
     num, found = len(result.drives), counts(result.singles)
     belief = result.seven.posterior
     true = belief.hypotheses[TRUTH]

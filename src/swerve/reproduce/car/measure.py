@@ -1,11 +1,11 @@
-"""Which part of the track a swerving driver avoids (the paper, figure 4).
+"""Measure which part of the track a swerving driver avoids (the paper, figure 4).
 
 Human-like drivers pass an obstacle in the right lane; the hypotheses are 2 x 14 regions of the
-track. Beta is that of drives with nothing in the way, by maximum likelihood. Nominal drivers enter
-every region of the right lane almost surely: what comes first among those that somebody left out
-rests on what driving around each would cost, which is worked out with the region in force
-(`resolving`). A drive may ignore the constraint with probability TOLERANCE, since no region is the
-obstacle exactly. What samples say that are brought to the paper's beta comes beside it.
+track. Beta is estimated by maximum likelihood from drives on a free track. Nominal trajectories
+enter every region of the right lane almost surely. So the order of the regions that a drive left
+out depends on the cost of driving around each region, which `resolve` works out with the region in
+force. A drive may ignore the constraint with probability TOLERANCE, since no region equals the
+obstacle. The same ranking from samples at the paper's beta is measured for comparison.
 
 Shapes: D drives, H hypotheses, L states of a drive.
 """
@@ -19,51 +19,48 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swerve.answer import Inference, infer
 from swerve.base.progress import progress_bar
-from swerve.base.space import Task
 from swerve.constraints.boxes import Box
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.demonstrators.driver import START, drives
+from swerve.demonstrators.driver import drives
 from swerve.evidence.evidence import Evidence
 from swerve.fitting.beta import BetaFit, fit_beta
-from swerve.inference.ranking import Inference, infer
 from swerve.monitoring.course import follow
-from swerve.monitoring.foresee import foresee
 from swerve.monitoring.foresight import Foresight
 from swerve.monitoring.monitor import Monitor
 from swerve.problem.problem import Problem
+from swerve.reproduce.car import kept
+from swerve.reproduce.car.kept import TASK
 from swerve.reproduce.keeping import Keeping
-from swerve.sampling.resolve import resolve
-from swerve.sampling.sample import sample
-from swerve.solvers.learn import Nominal, learn, load_nominal, save_nominal
+from swerve.solvers.base import Nominal
 from swerve.solvers.trained.soft_value import SoftValue
 from swerve.systems.car import GOAL_LINE, NUM_ROWS, Car, car
 
 OBSTACLE = Box(x=(-0.3, 0.2), y=(6.7, 7.4))
-# the region that holds the middle of the obstacle, in the right lane
+# index of the region in the right lane that holds the middle of the obstacle
 TRUTH = NUM_ROWS + int(NUM_ROWS * sum(OBSTACLE.intervals["y"]) / 2.0 / GOAL_LINE)
-NUM_FREE = 20  # drives with nothing in the way
-SEVEN = 7  # drives in the paper
-NUM_SETS = 200  # random sets of seven
-TOLERANCE = 0.05
-SURE = 0.5  # posterior of what a monitor believes in
-FIRST_BETA = 0.45  # at which that of the drives is looked for, from nearby
-PAPER_BETA = 200.0
-TASK = Task(np.array(START), np.zeros(0))
+NUM_FREE = 20  # drives on a free track, to estimate beta from
+SEVEN = 7  # number of drives in the paper
+NUM_SETS = 200  # random sets of seven drives
+TOLERANCE = 0.05  # probability of ignoring the constraint: regions only approximate the obstacle
+SURE = 0.5  # posterior above which a monitor believes in a region
+FIRST_BETA = 0.45  # beta of the first samples: near the estimate, so that enough samples count
+PAPER_BETA = 200.0  # beta in the paper
 EXACT, NEXT, OTHER, TIED = "exact", "next to it", "other", "tied with others"
 
 
 class Scale(NamedTuple):
-    """How much is done.
+    """Amount of work of a run.
 
     Attributes:
       dt: duration of a step of the model [s].
-      num_drives: around the obstacle.
-      num_trajectories: sampled.
-      solver: of the nominal distribution.
-      num_paper: trajectories brought to the paper's beta.
-      num_rollouts: that foresight is learned from.
-      num_updates: of it.
+      num_drives: number of drives around the obstacle.
+      num_trajectories: number of sampled trajectories.
+      solver: solver of the nominal distribution.
+      num_paper: number of trajectories brought to the paper's beta.
+      num_rollouts: number of rollouts that foresight is learned from.
+      num_updates: number of updates of foresight.
     """
 
     dt: float
@@ -96,12 +93,12 @@ QUICK = Scale(
 
 
 class Single(NamedTuple):
-    """What one drive alone tells.
+    """Ranking by one drive alone.
 
     Attributes:
-      first: the region that comes first.
-      tied: regions that cannot be told from it, itself included.
-      bounds: regions that it leaves out and of which the samples give a bound alone.
+      first: index of the region that comes first.
+      tied: number of regions tied with the first, itself included.
+      bounds: number of regions the drive leaves out for which the samples give only a bound.
       posterior: [H + 1] probabilities, that of no constraint last.
     """
 
@@ -112,11 +109,11 @@ class Single(NamedTuple):
 
 
 class Early(NamedTuple):
-    """From where on a monitor believes in it for good; NaN where it never does.
+    """Place of the car from which a monitor believes in the truth to the end; NaN for never.
 
     Attributes:
       exact: y from which the true region has a posterior above SURE [m].
-      near: y from which it and those next to it have one together [m].
+      near: y from which the true region and its neighbours together have one [m].
     """
 
     exact: float
@@ -124,20 +121,20 @@ class Early(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What was measured.
+    """Measurements.
 
     Attributes:
-      scale: how much was done.
-      drives: around the obstacle.
-      fit: beta of drives with nothing in the way.
-      evidence: at that beta, resolved.
-      singles: what each drive alone tells.
-      early: when a monitor knew, for each drive.
-      seven: of the first seven drives together.
+      scale: amount of work.
+      drives: [D] drives around the obstacle.
+      fit: beta of the drives on a free track.
+      evidence: evidence at this beta, resolved.
+      singles: [D] ranking by each drive alone.
+      early: [D] place from which a monitor knew, for each drive.
+      seven: inference from the first seven drives together.
       seven_share: share of random sets of seven for which the truth comes first.
-      paper: what each drive alone tells by samples of the paper's beta.
-      paper_evidence: those samples, with the verdict on them.
-      seconds: how long what took.
+      paper: [D] ranking by each drive alone, from samples at the paper's beta.
+      paper_evidence: evidence at the paper's beta.
+      seconds: wall time of each piece of work, by its name.
     """
 
     scale: Scale
@@ -156,32 +153,32 @@ class Result(NamedTuple):
 def reproduce(
     folder: Path, *, is_quick: bool = False, seed: int = 0, progress: bool = False
 ) -> Result:
-    """Have drivers drive, fit beta, and infer from each drive, while it lasts and after.
+    """Make drives, estimate beta, and infer from each drive, during it and after.
 
     Args:
-      folder: where all that takes long is kept, and found again.
-      is_quick: whether to do little of it.
-      seed: of everything random.
+      folder: folder that keeps slow results, so that a second run finds them.
+      is_quick: whether to do a small amount of work.
+      seed: seed of everything random.
       progress: whether to show progress bars.
 
     Raises:
       OSError: if a file cannot be written.
-      ValueError: if beta cannot be told from the drives, or what is kept was made by another
-        version or with other settings.
+      ValueError: if the drives do not determine beta, or the folder was filled by another version
+        or with other settings.
     """
     name, scale = ("quick", QUICK) if is_quick else ("full", FULL)
     keeping = Keeping.at(folder, name, scale, seed, progress)
     made = drives(Car(), OBSTACLE, scale.num_drives, seed=seed)
     free = drives(Car(), None, NUM_FREE, seed=1_000 + seed)
     fit, nominal, evidence = _fitted(keeping, scale, free)
-    evidence = _resolved(keeping, nominal, evidence, made)
-    foresight = _foresight(keeping, nominal, evidence, scale)
+    evidence = kept.resolved(keeping, nominal, evidence, made)
+    foresight = kept.foresight(keeping, nominal, evidence, scale.num_rollouts, scale.num_updates)
     with progress_bar("monitoring", len(made), progress) as advance:
         early = []
         for drive in made:
             early.append(_early(evidence, foresight, drive))
             advance(1)
-    paper_evidence = _evidence(keeping, "paper", nominal, scale.num_paper, PAPER_BETA)
+    paper_evidence = kept.evidence(keeping, "paper", nominal, scale.num_paper, PAPER_BETA)
     return Result(
         scale,
         made,
@@ -198,7 +195,7 @@ def reproduce(
 
 
 def model(scale: Scale, beta: float) -> Problem:
-    """Return the car in steps of scale.dt, in as much time as always."""
+    """Return the car's problem in steps of scale.dt, with the usual duration of an episode."""
     usual = Car()
     mdp = Car(dt=scale.dt, num_steps=round(usual.dt * usual.num_steps / scale.dt))
     return dataclasses.replace(car(beta), mdp=mdp)
@@ -210,103 +207,22 @@ def verdict(index: int) -> str:
     return (EXACT, NEXT, OTHER)[min(abs(lane - true_lane) + abs(row - true_row), 2)]
 
 
-def _nominal(keeping: Keeping, name: str, problem: Problem, solver: SoftValue) -> Nominal:
-    """Return what is learned of a problem."""
-    path, checkpoint = (keeping.folder / f"{name}.{kind}" for kind in ("nominal", "checkpoint"))
-    if not path.exists():
-        how = {"seed": keeping.seed, "progress": keeping.progress, "checkpoint": checkpoint}
-        with keeping.clock.timing(f"{name}: learn"):
-            nominal = learn(problem, solver, tasks=Task.stack([TASK]), **how)
-        save_nominal(path, nominal)
-        checkpoint.unlink(missing_ok=True)
-    return load_nominal(path, problem)
-
-
-def _evidence(
-    keeping: Keeping, name: str, nominal: Nominal, num: int, beta: float | None = None
-) -> Evidence:
-    """Return evidence of the one task, by way of others of another beta if one is given."""
-    path = keeping.folder / f"{name}.evidence"
-    if not path.exists():
-        how = {"beta": beta, "seed": keeping.seed, "progress": keeping.progress}
-        with keeping.clock.timing(f"{name}: sample"):
-            evidence = sample(nominal, TASK, num, **how)
-        evidence.save(path)
-    wanted = nominal.problem if beta is None else dataclasses.replace(nominal.problem, beta=beta)
-    return _loaded(path, wanted)
-
-
-def _loaded(path: Path, problem: Problem) -> Evidence:
-    """Return stored evidence of a problem.
-
-    Raises:
-      ValueError: if it is of another.
-    """
-    evidence = Evidence.load(path)
-    if evidence.problem.fingerprint != problem.record.fingerprint:
-        raise ValueError(
-            f"{path}: expected evidence of {problem.record.summary}, got that of "
-            f"{evidence.problem.summary}: remove it"
-        )
-    return evidence
-
-
 def _fitted(
     keeping: Keeping, scale: Scale, free: list[Demonstration]
 ) -> tuple[BetaFit, Nominal, Evidence]:
-    """Return beta by maximum likelihood, and what is learned and sampled of it."""
+    """Return beta by maximum likelihood, and the nominal and the evidence at this beta."""
     num, solver = scale.num_trajectories, scale.solver
-    first = _nominal(keeping, "first", model(scale, FIRST_BETA), solver)
-    fit = fit_beta(first.problem, _evidence(keeping, "first", first, num), free)
+    first = kept.nominal(keeping, "first", model(scale, FIRST_BETA), solver)
+    fit = fit_beta(first.problem, kept.evidence(keeping, "first", first, num), free)
     if fit.at_boundary:
-        raise ValueError(f"the drives tell no beta: {fit}")
+        raise ValueError(f"the drives on a free track do not determine beta: {fit}")
     beta = float(f"{fit.beta:.2g}")
-    nominal = _nominal(keeping, "fitted", model(scale, beta), solver)
-    return fit, nominal, _evidence(keeping, "fitted", nominal, num)
-
-
-def _resolved(
-    keeping: Keeping, nominal: Nominal, evidence: Evidence, made: list[Demonstration]
-) -> Evidence:
-    """Return evidence with what the single rankings hang on worked out."""
-    path = keeping.folder / "resolved.evidence"
-    if path.exists():
-        evidence = _loaded(path, nominal.problem)
-    with keeping.clock.timing("resolve"):
-        for drive in made:
-            inference = infer(evidence, [drive])
-            if inference.is_open.any():
-                evidence = resolve(
-                    nominal,
-                    inference,
-                    seed=keeping.seed,
-                    progress=keeping.progress,
-                    keep=lambda found: found.save(path),
-                )
-    return evidence
-
-
-def _foresight(keeping: Keeping, nominal: Nominal, evidence: Evidence, scale: Scale) -> Foresight:
-    """Return what is foreseen of each region from any state."""
-    path = keeping.folder / "foresight"
-    if not path.exists():
-        with keeping.clock.timing("foresee"):
-            found = foresee(
-                nominal,
-                evidence,
-                num_trajectories=scale.num_rollouts,
-                num_updates=scale.num_updates,
-                seed=keeping.seed,
-                progress=keeping.progress,
-            )
-        found.save(path)
-    foresight = Foresight.load(path, nominal.problem)
-    if foresight.learned_from != evidence.digest:
-        raise ValueError(f"{path}: was learned from other evidence: remove it")
-    return foresight
+    nominal = kept.nominal(keeping, "fitted", model(scale, beta), solver)
+    return fit, nominal, kept.evidence(keeping, "fitted", nominal, num)
 
 
 def _single(evidence: Evidence, drive: Demonstration) -> Single:
+    """Return the ranking by one drive alone."""
     result = infer(evidence, [drive], tolerance=TOLERANCE)
     belief, bounds = result.posterior, result.is_lower_bound & ~result.entered[0]
     return Single(
@@ -318,7 +234,7 @@ def _single(evidence: Evidence, drive: Demonstration) -> Single:
 
 
 def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration) -> Early:
-    """Return from where on a monitor believes in the truth, and in it or a neighbour."""
+    """Return the places of the car from which a monitor believes in the truth to the end."""
     course = follow(Monitor(evidence, TASK, foresight, tolerance=TOLERANCE), drive)
     found = [verdict(index) for index in range(course.hypotheses.shape[1])]
     y = np.append(drive.states[:, 1], drive.states[-1, 1])
@@ -330,7 +246,7 @@ def _early(evidence: Evidence, foresight: Foresight, drive: Demonstration) -> Ea
 
 
 def _from(y: np.ndarray, holds: np.ndarray) -> float:
-    """Return the y from which on something holds to the end, NaN if it does not then."""
+    """Return the y from which a condition holds to the end; NaN if it fails at the end."""
     if not holds[-1]:
         return math.nan
     wrong = np.flatnonzero(~holds)
@@ -340,10 +256,10 @@ def _from(y: np.ndarray, holds: np.ndarray) -> float:
 def _seven_share(evidence: Evidence, made: list[Demonstration], seed: int) -> float:
     """Return the share of random sets of seven for which the truth comes first."""
     generator = np.random.default_rng(seed)
-    said = infer(evidence, made, tolerance=TOLERANCE).contributions
+    contributions = infer(evidence, made, tolerance=TOLERANCE).contributions
     num = min(SEVEN, len(made))
     sets = [generator.choice(len(made), num, replace=False) for _ in range(NUM_SETS)]
-    return float(np.mean([_leads(said[chosen].sum(axis=0)) for chosen in sets]))
+    return float(np.mean([_leads(contributions[chosen].sum(axis=0)) for chosen in sets]))
 
 
 def _leads(score: np.ndarray) -> bool:

@@ -39,12 +39,12 @@ def tables(result: Result) -> dict[str, str]:
 
 
 def panel(result: Result) -> Panel:
-    """Return what is to be shown of ranks."""
+    """Return the panel of ranks."""
     return Panel(result.source.name, MODEL, result.source.name, lines_of(result.answers))
 
 
 def wall_time(answer: Answer) -> np.ndarray:
-    """Return the wall time [s] that an answer takes from nothing, for each number of its curve."""
+    """Return the wall time [s] of an answer from nothing, for each size of its curve."""
     return answer.learn_seconds + answer.task_seconds * np.array(answer.curve.sizes)
 
 
@@ -74,5 +74,5 @@ def draw_times(result: Result) -> Figure:
 
 
 def text(result: Result) -> str:
-    """Return what the terminal shows."""
+    """Return the average ranks as text for the terminal."""
     return rank_text([panel(result)])

@@ -1,1 +1,1 @@
-"""Package."""
+"""The gridworld: greedy inference from tables, compared with another implementation."""

@@ -1,4 +1,4 @@
-"""Figures, tables and files of the gridworld result; nothing is computed but means.
+"""Figures, tables and files of the gridworld's result. They compute only means and errors.
 
     curve = mean over the sets,    band = its standard error, s / sqrt(E), with E - 1 in s
 
@@ -56,7 +56,7 @@ def tables(result: Result) -> dict[str, str]:
 
 
 def sources(result: Result) -> list[tuple[str, Curves, int]]:
-    """Return name, curves and place of the threshold in them, for each curve there is."""
+    """Return name, curves and index of the threshold, for each curve to show."""
     found = [("swerve", result.curves, k) for k in range(len(result.curves.thresholds))]
     return found + ([] if result.golden is None else [("golden", result.golden, 0)])
 
@@ -69,7 +69,7 @@ def mean_and_error(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def curve_rows(result: Result) -> list[list[str]]:
-    """Return the rows of a table of all that the curves show; errors are standard errors."""
+    """Return the numbers of the curves as rows of a table; errors are standard errors."""
     rows = [list(CURVE_COLUMNS)]
     for name, curves, k in sources(result):
         means = (curves.num_picks[k].mean(axis=0), curves.num_false[k].mean(axis=0))
@@ -109,7 +109,7 @@ def summary(result: Result) -> str:
 
 
 def _columns(result: Result) -> list[tuple[str, Curves, int]]:
-    """Return a title beside each curve."""
+    """Return title, curves and index of the threshold, for each column of a table."""
     return [
         (f"{'golden, ' if name == 'golden' else ''}{_nats(curves.thresholds[k])}", curves, k)
         for name, curves, k in sources(result)
@@ -117,7 +117,7 @@ def _columns(result: Result) -> list[tuple[str, Curves, int]]:
 
 
 def _means(columns: list[tuple[str, Curves, int]], place: int) -> list[tuple[float, float, float]]:
-    """Return false positives, picks and KL [nats] at one size, by each curve."""
+    """Return mean false positives, picks and KL [nats] at one size, for each curve."""
     found = []
     for _, curves, k in columns:
         every = (curves.num_false, curves.num_picks, curves.kl)
@@ -127,6 +127,7 @@ def _means(columns: list[tuple[str, Curves, int]], place: int) -> list[tuple[flo
 
 
 def _agreed(result: Result) -> str:
+    """Return the agreement with golden picks as text."""
     agreement = result.agreement
     assert agreement is not None
     return (
@@ -197,7 +198,7 @@ def draw_curves(result: Result) -> Figure:
 
 
 def draw_violations(result: Result) -> Figure:
-    """Draw how probably someone under no constraint enters each cell, move and feature."""
+    """Draw the probability under pi_0 of entering each cell, move and feature."""
     figure, mdp = column(5.75), _mdp(result)
     num_bars = len(result.violation) - mdp.num_states
     cells, bars = figure.subplots(2, height_ratios=[mdp.height, 0.4 * num_bars])

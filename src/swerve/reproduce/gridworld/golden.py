@@ -1,4 +1,4 @@
-"""Golden output of tabular constraint inference: a world, demonstrations, and what was picked.
+"""Golden output of another implementation: a world, demonstrations, and the picked constraints.
 
 A file of this form is JSON:
 
@@ -8,8 +8,9 @@ A file of this form is JSON:
     sets                for each: states and actions of its demonstrations, and, for each D,
                         selected: the picks in order, with the KL divergence after each
 
-States are numbered y * width + x. Of the hypotheses, features come first, then states, then
-actions.
+States are numbered y * width + x. Hypotheses are in the order features, states, actions.
+
+Shapes: P picks, D demonstrations, E sets of demonstrations, L sizes D.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from swerve.answer import infer
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.fitting.rewards import divergence
 from swerve.inference.greedy import greedy
-from swerve.inference.ranking import infer
 from swerve.problem.problem import Problem
 from swerve.sampling.sample import sample
 from swerve.solvers.exact.tabular import TableNominal, Tabular
@@ -36,9 +37,9 @@ class Picked(NamedTuple):
     """Constraints picked one after another.
 
     Attributes:
-      hypotheses: [P] their indices.
-      gains: [P] nats a demonstration; NaN where not told.
-      kl: [P+1] KL divergence before the first pick and after each, nats; NaN where not told.
+      hypotheses: [P] indices of the constraints.
+      gains: [P] gain of each pick, nats a demonstration; NaN where unknown.
+      kl: [P+1] KL divergence before the first pick and after each, nats; NaN where unknown.
     """
 
     hypotheses: list[int]
@@ -47,12 +48,12 @@ class Picked(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How far picks are those of a golden output.
+    """Agreement of picks with golden output.
 
     Attributes:
-      same: sequences of picks that are the same.
-      number: sequences in all.
-      error: largest difference of a KL divergence in those that are the same, nats.
+      same: number of sequences of picks that are the same.
+      number: number of all sequences.
+      error: largest difference of a KL divergence in sequences that are the same, nats.
     """
 
     same: int
@@ -61,16 +62,16 @@ class Agreement(NamedTuple):
 
 
 class Golden(NamedTuple):
-    """What such a file holds.
+    """Contents of a file of golden output.
 
     Attributes:
-      problem: features, states and actions as hypotheses, counting measure, states alone.
+      problem: features, states and actions as hypotheses; counting measure; entering at states.
       task: the task of all demonstrations.
-      truth: the hypotheses that the demonstrations obeyed.
-      threshold: of the picks [nats a demonstration].
-      sizes: how many demonstrations were used.
-      sets: demonstrations, the first D of which were used.
-      selected: for each set and size what was picked, without gains and the first KL.
+      truth: indices of the hypotheses that the demonstrations obey.
+      threshold: gain below which picking ends [nats a demonstration].
+      sizes: [L] numbers of demonstrations that picks are made from.
+      sets: [E] demonstrations; picks are made from the first D of a set.
+      selected: [E][L] picks of each set and size, without gains and the first KL.
     """
 
     problem: Problem
@@ -86,11 +87,11 @@ def read_golden(path: Path) -> Golden:
     """Read a file of golden output.
 
     Raises:
-      OSError: if there is no such file.
-      ValueError: if it is not of this form.
+      OSError: if the file does not exist.
+      ValueError: if the file is not of this form.
     """
     try:
-        golden = _golden(json.loads(path.read_text()))
+        golden = _parsed(json.loads(path.read_text()))
         least, most = min(golden.sizes, default=0), max(golden.sizes, default=0)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise ValueError(f"{path}: not of the form of a golden.json: {error!r}") from error
@@ -110,67 +111,90 @@ def read_golden(path: Path) -> Golden:
     return golden
 
 
-def _golden(data: dict[str, Any]) -> Golden:
+def _parsed(data: dict[str, Any]) -> Golden:
+    """Return the contents of a file from its JSON data."""
     world = data["world"]
-    width = world["width"]
     moves = [list(delta) for delta in MOVES.values()]
     order = [moves.index(list(delta)) for delta in world["action_delta"]]
-
-    def cell(state: int) -> Cell:
-        return state % width, state // width
-
-    names = sorted(key.split("_")[1] for key in world if key.startswith("feature_"))
-    features = tuple((n, tuple(map(cell, world[f"feature_{n}_states"]))) for n in names)
-    mdp = Gridworld(
-        width=width,
-        height=world["height"],
-        num_steps=world["horizon"] - 1,
-        step_reward=world["reward_per_action"],
-        cell_features=features,
-    )
-    first = {
-        "feature": {int(name): k for k, name in enumerate(names)},
-        "state": {s: len(names) + s for s in range(mdp.num_states)},
-        "action": {a: len(names) + mdp.num_states + k for a, k in enumerate(order)},
-    }
-    task = Task(*(np.array(cell(world[end]), float) for end in ("start", "goal")))
+    mdp = _gridworld(world)
+    indices = _indices(mdp, order)
+    task = Task(*(np.array(_cell(world, world[end]), float) for end in ("start", "goal")))
     table = np.array(list(MOVES.values()), float)[order]
-
-    def demonstration(k: int, states: list[int], actions: list[int]) -> Demonstration:
-        path = np.array([cell(state) for state in states], float)
-        return Demonstration(f"demo_{k}", path, task, actions=table[np.array(actions, int)])
-
+    truth = frozenset(
+        indices[kind][value] for kind in indices for value in world["true_constraints"][f"{kind}s"]
+    )
     return Golden(
         problem=Problem(mdp, mdp.hypotheses(), measure="counting", between_states=False),
         task=task,
-        truth=frozenset(
-            first[kind][value] for kind in first for value in world["true_constraints"][f"{kind}s"]
-        ),
+        truth=truth,
         threshold=world["threshold"],
         sizes=data["num_demonstrations"],
-        sets=[
-            [
-                demonstration(k, *pair)
-                for k, pair in enumerate(zip(found["states"], found["actions"], strict=True))
-            ]
-            for found in data["sets"]
-        ],
+        sets=[_demonstrations(found, world, task, table) for found in data["sets"]],
         selected=[
-            [
-                Picked(
-                    [first[pick["type"]][pick["value"]] for pick in picks],
-                    [math.nan] * len(picks),
-                    [math.nan, *(pick["kl"] for pick in picks)],
-                )
-                for picks in sizes
-            ]
-            for sizes in (found["selected"] for found in data["sets"])
+            [_picked(picks, indices) for picks in found["selected"]] for found in data["sets"]
         ],
+    )
+
+
+def _cell(world: dict[str, Any], state: int) -> Cell:
+    """Return (x, y) of a numbered state."""
+    return state % world["width"], state // world["width"]
+
+
+def _gridworld(world: dict[str, Any]) -> Gridworld:
+    """Return the MDP of a world."""
+    names = sorted(key.split("_")[1] for key in world if key.startswith("feature_"))
+    features = [
+        (name, tuple(_cell(world, state) for state in world[f"feature_{name}_states"]))
+        for name in names
+    ]
+    return Gridworld(
+        width=world["width"],
+        height=world["height"],
+        num_steps=world["horizon"] - 1,
+        step_reward=world["reward_per_action"],
+        cell_features=tuple(features),
+    )
+
+
+def _indices(mdp: Gridworld, order: list[int]) -> dict[str, dict[int, int]]:
+    """Return the index of each feature, state and action of a file among the hypotheses.
+
+    Args:
+      mdp: the gridworld.
+      order: place in MOVES of each action of the file.
+    """
+    num = len(mdp.cell_features)
+    return {
+        "feature": {int(name): k for k, (name, _) in enumerate(mdp.cell_features)},
+        "state": {state: num + state for state in range(mdp.num_states)},
+        "action": {action: num + mdp.num_states + k for action, k in enumerate(order)},
+    }
+
+
+def _demonstrations(
+    found: dict[str, Any], world: dict[str, Any], task: Task, table: np.ndarray
+) -> list[Demonstration]:
+    """Return the demonstrations of one set; `table` holds the move of each action."""
+    made = []
+    for k, (states, actions) in enumerate(zip(found["states"], found["actions"], strict=True)):
+        path = np.array([_cell(world, state) for state in states], float)
+        taken = table[np.array(actions, int)]
+        made.append(Demonstration(f"demo_{k}", path, task, actions=taken))
+    return made
+
+
+def _picked(picks: list[dict[str, Any]], indices: dict[str, dict[int, int]]) -> Picked:
+    """Return the picks of one set and size."""
+    return Picked(
+        [indices[pick["type"]][pick["value"]] for pick in picks],
+        [math.nan] * len(picks),
+        [math.nan, *(pick["kl"] for pick in picks)],
     )
 
 
 def compare(golden: Golden) -> Agreement:
-    """Pick anew from every set and size, and compare with what was picked."""
+    """Pick from every set and size, and compare with the golden picks."""
     nominal = Tabular().learn(golden.problem)
     found = [
         [pick(nominal, demonstrations[:size], golden.threshold) for size in golden.sizes]
@@ -180,7 +204,7 @@ def compare(golden: Golden) -> Agreement:
 
 
 def pick(nominal: TableNominal, demonstrations: list[Demonstration], threshold: float) -> Picked:
-    """Pick constraints from demonstrations of a single task; threshold in nats a demonstration."""
+    """Pick constraints from demonstrations of one task; threshold in nats a demonstration."""
     inference = infer(sample(nominal, demonstrations[0].task), demonstrations)
     picks = greedy(inference, nominal, threshold=threshold)
     start = divergence(nominal.problem, demonstrations, np.zeros(len(demonstrations)))

@@ -1,15 +1,16 @@
-"""False positives and KL of greedy inference in a gridworld (Scobee & Sastry, 2019).
+"""Measure false positives and KL of greedy inference in a gridworld (Scobee & Sastry, 2019).
 
 From D demonstrations, constraints c_1, ..., c_P are picked until one gains less than a threshold:
 
     false positives = picks that are not among the true constraints,   their rate = that number / P,
-    KL = KL(demonstrations || pi_C) after the last pick, or that of pi_0 if there is none.
+    KL = KL(demonstrations || pi_C) after the last pick, or of pi_0 without picks.
 
-"Among" is meant strictly: a cell of a true feature, picked as a cell, is a false positive, and so
-is a pick that follows from the true constraints without being one. Without picks the rate is 0.
+A pick counts as true only if it is itself a true constraint: a single cell of a true feature is a
+false positive, and so is a pick that only follows from the true constraints. Without picks the rate
+is 0.
 
-A threshold does nothing but end the sequence of picks. So greedy selection runs once for each set
-and size, with the least threshold; for the others its sequence is cut at the first gain below them.
+A threshold only ends the sequence of picks. So greedy selection runs once for each set and size,
+with the least threshold; for a larger threshold the sequence is cut at the first gain below it.
 
 Shapes: K thresholds, E sets of demonstrations, L sizes D, P picks, H hypotheses.
 """
@@ -37,9 +38,9 @@ THRESHOLDS = (1.0, 0.1, 0.01)  # nats a demonstration
 SIZES = [*range(1, 10), *range(10, 101, 10)]
 QUICK_SIZES = (1, 3, 10, 30, 100)
 NUM_SETS = 5
-FIXED_WORK = 40  # of one greedy sequence, beside 1 for each demonstration
+FIXED_WORK = 40  # work of one greedy sequence for the progress bar, plus 1 for each demonstration
 
-# The world without a file of golden output: this project's own, of the same form.
+# This project's own world, of the same form, for runs without a file of golden output.
 START, GOAL = (0, 0), (8, 0)
 FEATURES: tuple[tuple[str, tuple[Cell, ...]], ...] = (
     ("A", ((5, 0), (5, 1), (5, 2))),
@@ -50,14 +51,14 @@ TRUE_CELLS: tuple[Cell, ...] = ((3, 3), (4, 4), (6, 3), (7, 2), (1, 6))
 
 
 class Curves(NamedTuple):
-    """What is drawn against the number of demonstrations.
+    """Counts and KL against the number of demonstrations.
 
     Attributes:
       thresholds: [K] nats a demonstration.
       sizes: [L] numbers of demonstrations.
-      num_picks: [K, E, L].
-      num_false: [K, E, L] those that are not true constraints.
-      kl: [K, E, L] after the last pick, nats.
+      num_picks: [K, E, L] numbers of picks.
+      num_false: [K, E, L] numbers of picks that are not true constraints.
+      kl: [K, E, L] KL after the last pick, nats.
     """
 
     thresholds: list[float]
@@ -73,13 +74,13 @@ class Curves(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What was measured.
+    """Measurements.
 
     Attributes:
       world: problem, truth and demonstrations.
-      curves: for THRESHOLDS, and that of the golden output.
-      golden: the curve of the golden output, with K = 1; None where there is none.
-      agreement: None where there is no golden output.
+      curves: curves for THRESHOLDS and the threshold of the golden output.
+      golden: curve of the golden picks, with K = 1; None without golden output.
+      agreement: agreement with the golden picks; None without golden output.
       violation: [H] probability of entering each hypothesis under pi_0.
     """
 
@@ -96,15 +97,15 @@ def reproduce(
     """Pick from sets of demonstrations of all sizes.
 
     Args:
-      data: golden output whose demonstrations to take and whose picks to compare with; None draws
-        demonstrations in this project's own world.
-      is_quick: whether to leave out all sizes but QUICK_SIZES.
-      seed: of the demonstrations that are drawn.
+      data: file of golden output, with demonstrations to use and picks to compare with; None to
+        sample demonstrations in this project's own world.
+      is_quick: whether to use only QUICK_SIZES.
+      seed: seed of sampled demonstrations.
       progress: whether to show a progress bar.
 
     Raises:
-      OSError: if there is no such file.
-      ValueError: if it is not of the form of a golden output.
+      OSError: if the file does not exist.
+      ValueError: if the file is not of the form of golden output.
     """
     world = own_world(seed) if data is None else read_golden(data)
     if not world.sets:
@@ -115,7 +116,7 @@ def reproduce(
 
 
 def own_world(seed: int = 0) -> Golden:
-    """Return a world with demonstrations drawn from pi_C itself, C its true constraints."""
+    """Return a world with demonstrations sampled exactly from pi_C, C its true constraints."""
     mdp = Gridworld(num_steps=24, step_reward=-4.0, cell_features=FEATURES)
     problem = Problem(mdp, mdp.hypotheses(), measure="counting", between_states=False)
     task = Task(np.array(START, float), np.array(GOAL, float))
@@ -125,24 +126,26 @@ def own_world(seed: int = 0) -> Golden:
         *(f"move {name}" for name in TRUE_MOVES),
     }
     truth = frozenset(index for index, label in enumerate(labels(mdp)) if label in true)
-    sets = [draw(problem, task, truth, np.random.default_rng([seed, e])) for e in range(NUM_SETS)]
+    sets = [
+        sampled(problem, task, truth, np.random.default_rng([seed, e])) for e in range(NUM_SETS)
+    ]
     return Golden(problem, task, truth, THRESHOLDS[1], SIZES, sets, selected=[])
 
 
-def draw(
+def sampled(
     problem: Problem, task: Task, truth: frozenset[int], generator: np.random.Generator
 ) -> list[Demonstration]:
-    """Draw 100 demonstrations that avoid some hypotheses, exactly from pi_C."""
-    drawn = Tabular().learn(problem).answer(task, generator, avoiding=sorted(truth)).drawn
+    """Return 100 demonstrations that avoid some hypotheses, sampled exactly from pi_C."""
+    kept = Tabular().learn(problem).answer(task, generator, avoiding=sorted(truth)).kept
     made = [
         Demonstration(f"demo_{k}", states[: length + 1], task)
-        for k, (states, length) in enumerate(zip(drawn.states, drawn.length, strict=True))
+        for k, (states, length) in enumerate(zip(kept.states, kept.length, strict=True))
     ]
     return [dataclasses.replace(d, actions=taken_actions(problem.mdp, d)) for d in made]
 
 
 def labels(mdp: Gridworld) -> list[str]:
-    """Return what to call each hypothesis [H] of a gridworld, in their order."""
+    """Return the name of each hypothesis [H] of a gridworld, in their order."""
     return [
         *(f"feature {name}" for name, _ in mdp.cell_features),
         *(f"cell ({x:.0f}, {y:.0f})" for x, y in mdp.states),
@@ -151,10 +154,10 @@ def labels(mdp: Gridworld) -> list[str]:
 
 
 def at_sizes(world: Golden, sizes: list[int]) -> Golden:
-    """Return a world with some of its sizes alone.
+    """Return a world with only some of its sizes.
 
     Raises:
-      ValueError: if there are none.
+      ValueError: if no size is left.
     """
     if not sizes:
         raise ValueError(f"sizes: expected some of {world.sizes}, got none: leave out --quick")
@@ -181,18 +184,18 @@ def measure(world: Golden, *, progress: bool = False) -> Result:
     if world.selected:
         golden = curves([world.selected], world, [world.threshold])
         agreement = agree(cuts[thresholds.index(world.threshold)], world.selected)
-    violation = np.clip(1.0 - answer.avoid_probability, 0.0, 1.0)  # which rounding leaves
+    violation = np.clip(1.0 - answer.avoid_probability, 0.0, 1.0)  # rounding may leave the range
     return Result(world, curves(cuts, world, thresholds), golden, agreement, violation)
 
 
 def cut(picked: Picked, threshold: float) -> Picked:
-    """Return what would have been picked with a larger threshold [nats a demonstration]."""
+    """Return the picks with a larger threshold [nats a demonstration]."""
     number = len(list(takewhile(lambda gain: gain >= threshold, picked.gains)))
     return Picked(picked.hypotheses[:number], picked.gains[:number], picked.kl[: number + 1])
 
 
 def curves(picked: list[list[list[Picked]]], world: Golden, thresholds: list[float]) -> Curves:
-    """Count what was picked for each threshold, set and size [K][E][L]."""
+    """Return the counts and KL of picks for each threshold, set and size [K][E][L]."""
 
     def count(of: Callable[[Picked], float]) -> np.ndarray:
         return np.array([[[of(one) for one in row] for row in sets] for sets in picked])

@@ -1,17 +1,17 @@
-"""How closely people follow the shortest way: beta, by cross-validation.
+"""Choose beta, how closely people follow the shortest way, by cross-validation.
 
-Squares that one track enters are free, so nothing there holds the others back. Chosen is the beta
-under which each track enters, or does not, the squares that another one has entered as probably as
-can be,
+A square that one track enters is free of obstacles, so the other tracks avoid or enter it by choice
+alone. The chosen beta maximises the probability of these choices,
 
     sum_i mean_c log p_i(c),   p_i(c) = 1 - Z_c/Z_0 if track i enters c, Z_c/Z_0 if not,
 
-i over tracks, c over the squares that count for i and that a track other than i enters. What a path
-looks like from step to step does not come into it: people's are smoother than those of a lattice,
-and by their lengths beta would be at the boundary.
+i over tracks, c over the squares that count for i and that a track other than i enters. The steps
+of a track do not count: people's tracks are smoother than paths on a lattice, and the likelihood of
+their lengths has its maximum at the boundary of beta.
 
-An obstacle that many tracks have to go round would pass for straying. So it is done twice, the
-second time with what the first beta leads to in force, if that is more probable than nothing.
+A way around an obstacle looks like a long way by choice, which lowers beta. So beta is chosen
+twice, the second time with the constraint in force that the first beta leads to, if a constraint is
+more probable than none.
 
 Shapes: D tracks, H hypotheses, L betas.
 """
@@ -24,30 +24,30 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swerve.answer import Inference
 from swerve.base.space import Task
-from swerve.inference.ranking import Inference
 from swerve.solvers.exact.soft_paths import PathNominal
 from swerve.systems.walker import Walker
 
-CLEARANCE = 0.75  # m, between the ends of a track and the squares that it tells of
-FIRST, RATIO, LAST = 1.02, 1.05, 3.0  # betas that are tried, in units of the least
-NUM_WORSE = 3  # betas in a row below the best, after which no higher one is tried
-QUICK_RATIO, QUICK_LAST = 1.1, 2.0
-UNLIKELY = 1e-6  # the least probability that a track is charged for
-NUM_RESAMPLED = 1000  # sets of tracks, for the interval of beta
+CLEARANCE = 0.75  # m between the ends of a track and the squares that count for it
+FIRST, RATIO, LAST = 1.02, 1.05, 3.0  # first beta to try, ratio of two, last: in units of the least
+NUM_WORSE = 3  # betas worse than the best before them, after which no higher one is tried
+QUICK_RATIO, QUICK_LAST = 1.1, 2.0  # the same with --quick
+UNLIKELY = 1e-6  # least probability of a choice, so that one track does not decide alone
+NUM_RESAMPLED = 1000  # bootstrap samples of the tracks, for the interval of beta
 RULE = "cross-validated likelihood of which squares that another track has entered a track enters"
 
 
 class Beta(NamedTuple):
-    """How beta was chosen.
+    """The chosen beta and the scores that it was chosen by.
 
     Attributes:
-      value: the beta [nats/m].
-      interval: where it lies for 95 % of sets of tracks drawn anew from these, and half a step
-        between the betas that were tried on either side.
-      least: above which pi_0 exists.
-      tried: [L] betas.
-      score: [L, D] mean log-probability of what each track enters, nats a square.
+      value: the chosen beta [nats/m].
+      interval: 95 % interval by bootstrap over the tracks, widened at both ends by half a step
+        between the betas that were tried.
+      least: beta above which pi_0 exists.
+      tried: [L] betas that were tried.
+      score: [L, D] mean log-probability of the choices of each track, nats a square.
     """
 
     value: float
@@ -58,7 +58,7 @@ class Beta(NamedTuple):
 
     @property
     def at_boundary(self) -> bool:
-        """Whether one of the outermost betas that were tried is the best."""
+        """Whether the lowest or the highest beta that was tried is the best."""
         return self.value in (self.tried[0], self.tried[-1])
 
 
@@ -76,14 +76,14 @@ def choose_beta(
     avoiding: int | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> Beta:
-    """Choose beta among some, lowest first, of which [L] are tried.
+    """Return the best beta, trying the lowest first and ending after NUM_WORSE worse ones.
 
     Args:
-      nominal: of the room, for any beta.
-      start: what tracks enter, and what counts for them, inferred at any beta.
-      tried: betas, ascending.
-      generator: of sets of tracks.
-      avoiding: a hypothesis that is in force, where it counts.
+      nominal: nominal of the room, at any beta.
+      start: inference at any beta, for the squares that tracks enter and that count for them.
+      tried: betas to try, ascending.
+      generator: random generator of the bootstrap.
+      avoiding: index of a hypothesis in force for the tracks that it counts for; None for none.
       advance: called after each beta.
     """
     tasks = Task.stack([item.task for item in start.demonstrations])
@@ -105,10 +105,7 @@ def choose_beta(
     tried = tried[: len(score)]
     weights = generator.multinomial(num, np.full(num, 1.0 / num), NUM_RESAMPLED)
     low, high = np.percentile(tried[(score @ weights.T).argmax(axis=0)], (2.5, 97.5)).tolist()
-    half, least = (
-        math.sqrt(tried[1] / tried[0]),
-        walker.least_beta,
-    )  # nothing tells finer than steps
+    half, least = math.sqrt(tried[1] / tried[0]), walker.least_beta  # half a step, as a ratio
     best = float(tried[score.sum(axis=1).argmax()])
     return Beta(best, (max(low / half, least), high * half), least, tried, score)
 
@@ -116,7 +113,7 @@ def choose_beta(
 def _avoid_probability(
     nominal: PathNominal, tasks: Task, held: np.ndarray, avoiding: int | None
 ) -> np.ndarray:
-    """Return the probability [D, H] of avoiding each hypothesis, with one in force for some."""
+    """Return the probability [D, H] of avoiding each hypothesis, with one in force where `held`."""
     found = np.empty((len(held), len(nominal.problem.hypotheses)))
     for some, in_force in ((held, [avoiding]), (~held, [])):
         if some.any():

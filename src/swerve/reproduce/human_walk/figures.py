@@ -1,6 +1,6 @@
-"""Figures, tables and files of the human walkers; nothing is computed but percentiles.
+"""Figures, tables and files of the human walkers' result. They compute only percentiles.
 
-The map is coloured by what each square explains, at its centre: log L [nats] of all tracks.
+The map shows at the centre of each square its log-likelihood ratio [nats] by all tracks.
 
 Shapes: H hypotheses, N numbers of tracks.
 """
@@ -83,7 +83,7 @@ def text(result: Result) -> str:
 
 
 def _head(result: Result) -> list[str]:
-    """Return how many tracks there are, beta and the probability of no constraint."""
+    """Return lines with the number of tracks, beta and the probability of no constraint."""
     beta, left_out = result.beta, result.tracks.left_out
     skipped = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
     low, high = beta.interval
@@ -97,7 +97,7 @@ def _head(result: Result) -> list[str]:
 
 
 def _found(answer: Answer) -> list[tuple[str, dict[str, Any]]]:
-    """Return the picks and the best square apart from the first, named."""
+    """Return the picks and the best square apart from the first pick, each with a name."""
     found = [(str(k + 1), pick) for k, pick in enumerate(picks_json(answer))]
     apart = elsewhere_json(answer)
     return found if apart is None else [*found, ("elsewhere", apart)]
@@ -126,7 +126,7 @@ def map_rows(result: Result) -> list[list[str]]:
 
 
 def draw_map(result: Result) -> Figure:
-    """Draw walls, tracks, what squares explain and the first picks."""
+    """Draw walls, tracks, log-likelihood ratios of squares, and the picks."""
     room, inference = result.room, result.answer.inference
     figure = column(4.2)
     axes = figure.subplots()
@@ -173,7 +173,7 @@ def _outline_picks(axes: Axes, answer: Answer) -> None:
 
 
 def belief_rows(result: Result) -> list[list[str]]:
-    """Return the rows of a table of what subsets of the tracks tell."""
+    """Return the rows of a table of the posterior by subsets of the tracks."""
     low, high = INTERVAL
     names = ("median", f"percentile_{low:g}", f"percentile_{high:g}")
     rows = [["num_tracks", "num_subsets", *(f"{part}_{name}" for part in
@@ -186,7 +186,7 @@ def belief_rows(result: Result) -> list[list[str]]:
 
 
 def draw_belief(result: Result) -> Figure:
-    """Draw how probable the answers are against the number of tracks."""
+    """Draw the posterior against the number of tracks."""
     belief, figure = result.belief, column(2.5)
     axes = figure.subplots()
     for values, colour, style, label in (
@@ -217,7 +217,7 @@ def beta_rows(result: Result) -> list[list[str]]:
 
 
 def draw_beta(result: Result) -> Figure:
-    """Draw how probable what tracks enter is under each beta."""
+    """Draw the score of each beta that was tried."""
     beta, figure = result.beta, column(2.2)
     axes = figure.subplots()
     axes.axvspan(*beta.interval, color=LIGHT, alpha=0.25, lw=0, label="95 % interval")
@@ -245,7 +245,7 @@ def sensitivity_rows(result: Result) -> list[list[str]]:
 
 
 def draw_sensitivity(result: Result) -> Figure:
-    """Draw what the picks explain at about half and twice the chosen beta."""
+    """Draw the gains of the picks at about half of the chosen beta, at it and at twice as much."""
     figure, answers = column(2.4), result.sensitivity
     axes = figure.subplots()
     styles = [(DARK, ""), (LIGHT, "////"), (FAINT, "...."), ("white", "")]
@@ -273,12 +273,14 @@ def draw_sensitivity(result: Result) -> Figure:
 
 
 def _tidy(axes: Axes) -> None:
+    """Give axes a grid behind the data and open sides."""
     axes.grid(color="#e2e2e2", lw=0.6)
     axes.set_axisbelow(True)
     open_sides(axes, SMALL)
 
 
 def _legend(figure: Figure, axes: Axes, title: str, ncols: int = 1) -> None:
+    """Put the legend of axes above a figure, under a title."""
     figure.legend(
         *axes.get_legend_handles_labels(), loc="outside upper left", ncols=ncols, frameon=False,
         fontsize=SMALL, handlelength=2.4, title=title, title_fontsize=SMALL, alignment="left",

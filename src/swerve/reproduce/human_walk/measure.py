@@ -1,10 +1,10 @@
-"""Where is the obstacle that people walk around? Constraint inference from tracks through a room.
+"""Measure where the obstacle is that people walk around, from their tracks through a room.
 
-People are taken to follow soft shortest paths over the floor (`Walker`): walls are known, nothing
-else is. Hypothesised are all squares of 0.75 m that overlap by three quarters and have some floor
-in them; a track says nothing of those within 0.75 m of its own ends. Answers are exact.
+The model of people is `Walker`: soft shortest paths over the floor, with the walls known and
+nothing else. The hypotheses are all squares of 0.75 m that overlap by three quarters and have some
+floor in them. Squares within 0.75 m of the ends of a track do not count for it. Answers are exact.
 
-How beta is chosen is told in `human_beta`.
+The module `beta` describes the choice of beta.
 
 Shapes: D tracks, H hypotheses, N numbers of tracks, R random subsets, P picks.
 """
@@ -18,13 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from swerve.answer import Inference, infer
 from swerve.base.progress import progress_bar
 from swerve.base.space import Task
 from swerve.constraints.occupancy import Occupancy
 from swerve.hypotheses.windows import WindowHypotheses, windows
 from swerve.inference.greedy import Pick, greedy
 from swerve.inference.posterior import NONE, posterior
-from swerve.inference.ranking import Inference, infer
 from swerve.problem.problem import Problem
 from swerve.reproduce.human_walk.beta import CLEARANCE, FIRST, RULE, Beta, choose_beta, ladder
 from swerve.reproduce.human_walk.tracks import Room, Tracks, read_room, read_tracks
@@ -32,23 +32,23 @@ from swerve.sampling.sample import sample
 from swerve.solvers.exact.soft_paths import PathNominal, SoftPaths
 from swerve.systems.walker import Walker
 
-WIDTH, OVERLAP = 0.75, 4  # m, of a square; squares that lie over each point along an axis
+WIDTH, OVERLAP = 0.75, 4  # m: width of a square; squares over each point, along an axis
 MARGIN = 3  # cells of the lattice around the floor, more than the longest step
-NUM_PICKS = 3
-NUM_SUBSETS = 300
-SIZES = (1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)  # of subsets
-INTERVAL = (5.0, 95.0)  # percentiles
+NUM_PICKS = 3  # largest number of picks of the greedy search
+NUM_SUBSETS = 300  # random subsets of each size
+SIZES = (1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)  # tracks of a subset
+INTERVAL = (5.0, 95.0)  # percentiles over the subsets
 
 
 class Answer(NamedTuple):
-    """What is inferred at one beta.
+    """Inference at one beta.
 
     Attributes:
-      beta: nats/m.
-      inference: with all squares in competition.
-      picks: of the greedy search, in order.
+      beta: the beta [nats/m].
+      inference: ranking of all squares, one constraint at a time.
+      picks: picks of the greedy search, in order.
       gains: [P, D] nats that each pick adds to the log-likelihood of each track.
-      elsewhere: the best square that does not overlap the first pick; None if there is none.
+      elsewhere: index of the best square that does not overlap the first pick; None without one.
     """
 
     beta: float
@@ -59,10 +59,10 @@ class Answer(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """What random subsets of the tracks tell.
+    """Posterior by random subsets of the tracks.
 
     Attributes:
-      sizes: [N] tracks of a subset.
+      sizes: [N] numbers of tracks of a subset.
       near: [N, R] probability of a constraint that overlaps the first pick of all tracks.
       none: [N, R] probability of no constraint.
       gain: [N, R] log-likelihood ratio of the first pick, nats.
@@ -75,15 +75,15 @@ class Belief(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What was measured.
+    """Measurements.
 
     Attributes:
       room: the map.
-      tracks: what people did.
-      beta: how it was chosen.
-      answer: at that beta.
-      sensitivity: answers at about half of that beta, at it and at twice as much.
-      belief: as a function of the number of tracks.
+      tracks: the tracks of people.
+      beta: the chosen beta and its scores.
+      answer: inference at the chosen beta.
+      sensitivity: inference at about half of the chosen beta, at it and at twice as much.
+      belief: posterior as a function of the number of tracks.
     """
 
     room: Room
@@ -102,7 +102,7 @@ def reproduce(
     Args:
       data: folder of `tracks.csv` and `room.png`.
       is_quick: whether to try fewer betas.
-      seed: of what is drawn at random: sets of tracks.
+      seed: seed of random sets of tracks.
       progress: whether to show a progress bar.
 
     Raises:
@@ -132,7 +132,7 @@ def _beta(
     generator: np.random.Generator,
     advance: Callable[[float], None],
 ) -> Beta:
-    """Choose beta, and again with the first pick in force if one constraint is likely."""
+    """Choose beta, and a second time with the first pick in force if a constraint is likely."""
     tasks = Task.stack([item.task for item in tracks.used])
     start = infer(sample(nominal, tasks), tracks.used, clearance=CLEARANCE)
 
@@ -151,7 +151,7 @@ def _beta(
 
 
 def problem_of(room: Room, beta: float | None = None) -> Problem:
-    """Return the problem of a room: its walls are known, squares of its floor are hypothesised."""
+    """Return the problem of a room: known walls, and hypotheses of squares with floor."""
     walker = _walker(room)
     corner = WIDTH * np.floor(room.floor[:, 0] / WIDTH)
     end = WIDTH * np.ceil(room.floor[:, 1] / WIDTH)
@@ -205,7 +205,7 @@ def answer_at(nominal: PathNominal, tracks: Tracks, most: int = NUM_PICKS) -> An
 
 
 def overlapping(found: np.ndarray, index: int) -> np.ndarray:
-    """Return which squares [H] of some [H, 4] overlap one of them."""
+    """Return whether each square [H] of found [H, 4] overlaps the one with an index."""
     x_low, x_high, y_low, y_high = found.T
     x, y = found[index, :2], found[index, 2:]
     return (x_low < x[1]) & (x_high > x[0]) & (y_low < y[1]) & (y_high > y[0])
@@ -223,7 +223,7 @@ def floor_prior(hypotheses: Any, room: Occupancy) -> np.ndarray:
 
 
 def belief_of(answer: Answer, generator: np.random.Generator) -> Belief:
-    """Return what random subsets of the tracks tell, of all sizes."""
+    """Return the posterior by random subsets of the tracks, for each size."""
     inference, num = answer.inference, len(answer.inference.demonstrations)
     sizes = [*(size for size in SIZES if size < num), num]
     shape = len(sizes), NUM_SUBSETS
@@ -237,15 +237,15 @@ def belief_of(answer: Answer, generator: np.random.Generator) -> Belief:
     for k, size in enumerate(sizes):
         for r in range(NUM_SUBSETS):
             chosen = generator.choice(num, size, replace=False)
-            told = inference.contributions[chosen].sum(axis=0) + impossible
-            found = posterior(told, inference.prior)
+            log_likelihood = inference.contributions[chosen].sum(axis=0) + impossible
+            found = posterior(log_likelihood, inference.prior)
             none[k, r], near[k, r] = found[0], found[1:][is_near].sum()
-            gain[k, r] = told[first]
+            gain[k, r] = log_likelihood[first]
     return Belief(sizes, near, none, gain)
 
 
 def to_json(result: Result) -> dict[str, Any]:
-    """Return what was found as JSON data; gains are of all tracks together, in nats."""
+    """Return the measurements as JSON data; gains are of all tracks together, in nats."""
     beta, answer = result.beta, result.answer
     posterior_found = answer.inference.posterior
     return {
@@ -282,7 +282,7 @@ def to_json(result: Result) -> dict[str, Any]:
 
 
 def picks_json(answer: Answer) -> list[dict[str, Any]]:
-    """Return the picks in order, each with what it adds to those before it."""
+    """Return the picks in order as JSON data, each with its gain over the picks before it."""
     found = squares(answer.inference.evidence.problem.hypotheses)
     num = answer.gains.shape[1]
     return [
@@ -300,7 +300,7 @@ def picks_json(answer: Answer) -> list[dict[str, Any]]:
 
 
 def elsewhere_json(answer: Answer) -> dict[str, Any] | None:
-    """Return the best square that does not overlap the first pick, none being in force."""
+    """Return the best square that does not overlap the first pick as JSON data, by itself alone."""
     if answer.elsewhere is None:
         return None
     inference, index = answer.inference, answer.elsewhere

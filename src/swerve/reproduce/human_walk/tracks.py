@@ -1,17 +1,17 @@
-"""People's tracks through a room, and the room's map, from a folder.
+"""Read people's tracks through a room, and the room's map, from a folder.
 
-    room.png     free floor is light, what nobody can enter is dark
-    room.json    where it lies: {"corner": [x, y], "cell": w}, the lower left corner of the picture
-                 and the side of a pixel [m]; without it corner (-11, -10) m and 0.01 m, as in the
+    room.png     free floor is light; walls and other places that nobody can enter are dark
+    room.json    place of the picture: {"corner": [x, y], "cell": w}, its lower left corner and the
+                 side of a pixel [m]; without this file (-11, -10) m and 0.01 m, as in the
                  recordings of the THOR data set
-    tracks.csv   columns t [s], track, x, y [m], the samples of a track one after the other in time
+    tracks.csv   columns t [s], track, x, y [m], the samples of a track in the order of time
 
-Of a track, what is done is taken to be what was wanted: it is a walk from its start to its end.
-Those are used that go somewhere, and about straight,
+The end of a track is taken as the goal of the person. A track is used if it goes somewhere, by a
+nearly straight way,
 
     |end - start| > 3 m,   length < 1.6 |end - start|,
 
-and that keep as far from walls as the middle of a body has to, 0.2 m.
+and stays 0.2 m from walls, as far as the middle of a body has to.
 
 Shapes: L samples of a track.
 """
@@ -33,12 +33,12 @@ from swerve.demonstrations.checks import check_finite, row_namer
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.demonstrations.tables import read_table
 
-CORNER, CELL = (-11.0, -10.0), 0.01  # m, of THOR's map
+CORNER, CELL = (-11.0, -10.0), 0.01  # m: lower left corner and pixel of THOR's map
 LEAST_DISTANCE = 3.0  # m between the ends of a track
-MOST_WINDING = 1.6  # its length, in units of that distance
-LIGHT = 0.5  # of white: floor
-FEWEST = 2  # tracks
-BODY = 0.2  # m, between walls and the middle of a person
+MOST_WINDING = 1.6  # largest length of a track, in units of the distance between its ends
+LIGHT = 0.5  # share of white from which a pixel is floor
+FEWEST = 2  # least number of tracks: cross-validation needs another one
+BODY = 0.2  # m between walls and the middle of a person
 REASONS: tuple[str, ...] = ("shorter than 3 m", "winding", "less than 0.2 m from walls")
 
 
@@ -46,8 +46,8 @@ class Room(NamedTuple):
     """The map of a room.
 
     Attributes:
-      picture: what is blocked.
-      walls: where the middle of nobody's body can be: that, and all less than 0.2 m from it.
+      picture: the blocked pixels of the picture.
+      walls: the blocked pixels and all within 0.2 m of them, where no middle of a body can be.
       floor: [2, 2] (low, high) of x and y of the free floor [m].
     """
 
@@ -57,11 +57,11 @@ class Room(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """What people did.
+    """Tracks of people.
 
     Attributes:
-      used: the tracks that are used.
-      left_out: how many are not, by reason.
+      used: the tracks to infer from.
+      left_out: number of other tracks, by reason.
     """
 
     used: list[Demonstration]
@@ -72,8 +72,8 @@ def read_room(folder: Path) -> Room:
     """Read the map of a room.
 
     Raises:
-      OSError: if there is none.
-      ValueError: if a file cannot be understood, or there is no floor.
+      OSError: if there is no map.
+      ValueError: if a file cannot be understood, or the map has no floor.
     """
     path = folder / "room.png"
     if not path.exists():
@@ -81,11 +81,13 @@ def read_room(folder: Path) -> Room:
     try:
         picture = np.asarray(imread(path), float)
     except (SyntaxError, ValueError, OSError) as error:
-        raise ValueError(f"{path}: no PNG picture ({error}); save it as one") from error
+        raise ValueError(
+            f"{path}: expected a PNG picture ({error}); save the map as one"
+        ) from error
     grey = picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1)
     blocked = grey[::-1] < LIGHT
     if blocked.all():
-        raise ValueError(f"{path}: all of it is dark; expected free floor to be light")
+        raise ValueError(f"{path}: all pixels are dark; expected free floor to be light")
     corner, cell = _place(folder / "room.json")
     walls = Occupancy("walls", blocked, corner, cell)
     if walls.widened(BODY).blocked.all():
@@ -119,9 +121,9 @@ def read_tracks(folder: Path, room: Room) -> Tracks:
     """Read the tracks of a room.
 
     Raises:
-      OSError: if there is no file of them.
-      ValueError: if it cannot be understood, most tracks are not on the floor of the room, or too
-        few can be used.
+      OSError: if there is no tracks.csv.
+      ValueError: if the file cannot be understood, most tracks are not on the floor of the room, or
+        too few can be used.
     """
     path = folder / "tracks.csv"
     table = read_table(path, ("t", "track", "x", "y"))
@@ -148,7 +150,7 @@ def read_tracks(folder: Path, room: Room) -> Tracks:
 
 
 def _reason(states: np.ndarray, room: Room) -> str | None:
-    """Return why a track [L, 2] is not used."""
+    """Return the reason to leave a track [L, 2] out; None to use it."""
     distance = math.dist(states[0], states[-1])
     length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
     short, winding, blocked = REASONS
@@ -165,12 +167,12 @@ def space(room: Room) -> StateSpace:
 
 
 def _check(path: Path, used: list[Any], left_out: dict[str, int]) -> None:
-    """Raise ValueError where the tracks are not of this room, or too few."""
+    """Raise ValueError if the tracks are not of this room, or too few."""
     blocked = left_out[REASONS[2]]
     if blocked > len(used):
         raise ValueError(
             f"{path}: {blocked} of {blocked + len(used)} tracks lead through walls or outside "
-            "room.png; expected positions in metres in the frame of the picture: place it with a "
+            "room.png; expected positions in metres in the frame of the picture: place it by a "
             'room.json, {"corner": [x, y], "cell": side of a pixel}'
         )
     if len(used) < FEWEST:

@@ -1,1 +1,1 @@
-"""Package."""
+"""The pendulum: the rank of the true constraint, by every way to infer."""

@@ -1,4 +1,4 @@
-"""Figures, tables and files of the pendulum result; nothing is computed but errors."""
+"""Figures, tables and files of the pendulum's result. They compute only errors."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def tables(result: Result) -> dict[str, str]:
 
 
 def panels(result: Result) -> list[Panel]:
-    """Return what is to be shown, for each model and set of demonstrations."""
+    """Return a panel for each model and set of demonstrations."""
     found = []
     for max_torque in result.scale.ways:
         for source in result.sources:
@@ -63,12 +63,12 @@ def panels(result: Result) -> list[Panel]:
 
 
 def text(result: Result) -> str:
-    """Return what the terminal shows."""
+    """Return the average ranks as text for the terminal."""
     return rank_text(panels(result))
 
 
 def _nats_table(result: Result) -> str:
-    """Return nats and errors on the demonstrations of a folder."""
+    """Return a table of nats and errors for the demonstrations in a folder, as Markdown."""
     rows = []
     for exact in result.exact:
         nats = [f"{exact.nats[cell]:.2f}" for cell in FOLLOWED]
@@ -81,13 +81,13 @@ def _nats_table(result: Result) -> str:
 
 
 def _nats_row(answer: Answer, exact: Exact) -> list[str]:
-    """Return a row: nats of all demonstrations, errors of violation probabilities."""
+    """Return one row: nats of all demonstrations, and errors of violation probabilities."""
     found = answer.result
     violation = found.evidence.violation_probability[found.task_of]
     error = np.abs(violation - exact.violation).max(axis=1)
     nats = []
     for cell in FOLLOWED:
         spread = "" if answer.way.name == DISCRETE else f" ± {found.standard_error[cell]:.2f}"
-        told = f"{found.log_likelihood[cell]:.2f}{spread}"
-        nats.append("struck out" if found.struck_out[cell] else told)
+        value = f"{found.log_likelihood[cell]:.2f}{spread}"
+        nats.append("struck out" if found.struck_out[cell] else value)
     return [way_name(answer), *nats, f"{np.median(error):.3f}", f"{error.max():.3f}"]

@@ -1,17 +1,17 @@
-"""The rank of a pendulum's true constraint against the number of demonstrations (figures 2, 3).
+"""Measure the rank of a pendulum's true constraint against the number of demonstrations.
 
-Demonstrations are made by optimal control, with any torque, around C1 (cell 55, near where the
-pendulum hangs) and C2 (cell 85, where it falls); those of a folder come beside them. Every way to
-infer is asked of the same ones, by a model whose torques reach to 10 and to 1, entering judged at
-the states alone, as the paper does:
+This is the result of figures 2 and 3 of the paper. Demonstrations are made by optimal control, with
+any torque, around C1 (cell 55, near where the pendulum hangs) and C2 (cell 85, where it falls);
+demonstrations in a given folder are a third set. Every way infers from the same sets, with torques
+of the model up to 10 and up to 1. Entering is judged at the states alone, as in the paper:
 
     soft value + SMC    neural soft values, the paper's method as this project does it, by a policy
-                        distilled from them, or looking ahead where torques reach to 1 alone,
-    grid                soft values on a grid, exact up to what sampling leaves open,
+                        distilled from them, or by looking ahead where torques reach only to 1,
+    grid                soft values on a grid, exact but for sampling error,
     PPO                 one policy for all tasks, plain samples, the paper's average score,
     MLCI-Discrete       tables of cells, the best of several by the rank of the truth.
 
-All that takes long is kept in a folder, so that what was interrupted goes on.
+Slow results are kept in a folder, so that an interrupted run continues.
 
 Shapes: D demonstrations, H hypotheses.
 """
@@ -25,10 +25,10 @@ import numpy as np
 
 from swerve.constraints.base import violates
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.demonstrators.optimal_control import Search
-from swerve.hypotheses.base import unpack
+from swerve.demonstrators.path_search import Search
+from swerve.hypotheses.bits import unpack
 from swerve.reproduce.keeping import Keeping
-from swerve.reproduce.made import kept_optima, read_folder
+from swerve.reproduce.kept_demonstrations import kept_optima, read_folder
 from swerve.reproduce.ranks import Curve, Judged, curve, noise_of
 from swerve.reproduce.ways import (
     DISCRETE,
@@ -45,21 +45,21 @@ from swerve.reproduce.ways import (
 from swerve.systems.pendulum import pendulum
 
 CONSTRAINTS = {"C1": 55, "C2": 85}
-REAL = "real"  # name of the demonstrations of a folder
-NUM_CELLS = 100
+REAL = "real"  # name of the demonstrations in a folder
+NUM_CELLS = 100  # hypotheses
 REAL_TRUTH = CONSTRAINTS["C1"]
-SOUGHT = Search(limits=(-np.inf, np.inf), goal_tolerance=0.05)  # rad and rad/s together
-LEAST_SURVIVAL = 1e-4  # one trajectory of 10,000
-FOLLOWED = (55, 17, 87, 7)  # cells whose nats are told, the four of METHOD
+SETTINGS = Search(limits=(-np.inf, np.inf), goal_tolerance=0.05)  # rad and rad/s, Euclidean
+LEAST_SURVIVAL = 1e-4  # least probability of avoiding a cell: one trajectory of 10,000
+FOLLOWED = (55, 17, 87, 7)  # cells in the table of nats: the truth and three that rank next to it
 
 
 class Scale(NamedTuple):
-    """How much is done.
+    """Amount of work of a run.
 
     Attributes:
-      ways: to infer, by each model's largest torque.
-      num_demonstrations: made for each constraint.
-      num_trajectories: of each task.
+      ways: the ways to infer, by the model's largest torque.
+      num_demonstrations: number of demonstrations to make for each constraint.
+      num_trajectories: number of trajectories of each task.
     """
 
     ways: dict[float, tuple[Way, ...]]
@@ -77,7 +77,7 @@ COMPARED = (
 FULL = Scale(
     {
         10.0: (Way(SOFT_VALUE, "distilled", "smc"), *COMPARED),
-        1.0: (Way(SOFT_VALUE, "soft-value", "smc"), *COMPARED),  # swinging up takes looking ahead
+        1.0: (Way(SOFT_VALUE, "soft-value", "smc"), *COMPARED),  # swinging up needs looking ahead
     },
     65,
     10_000,
@@ -97,12 +97,12 @@ QUICK = Scale(
 
 
 class Exact(NamedTuple):
-    """What a folder holds of exact answers.
+    """Exact answers from the violation probabilities in a folder.
 
     Attributes:
-      max_torque: of the model.
+      max_torque: largest torque of the model.
       violation: [D, H] probability of entering each cell in the task of each demonstration.
-      nats: [H] log-likelihood ratio of all demonstrations together, those that enter included.
+      nats: [H] log-likelihood ratio of all demonstrations, also of those that enter the cell.
       curve: rank of the truth.
     """
 
@@ -113,14 +113,14 @@ class Exact(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What was measured.
+    """Measurements.
 
     Attributes:
-      scale: how much was done.
-      sources: the demonstrations.
-      answers: of every source, torque and way.
-      exact: of the folder, where it has them.
-      seconds: how long what took: "torque 10: soft value + SMC, learn" and so on.
+      scale: amount of work.
+      sources: the sets of demonstrations.
+      answers: answer for each set, torque and way; of the tables, only the best.
+      exact: exact answers for each torque, where the folder holds them.
+      seconds: wall time by name: "torque 10: soft value + SMC, learn" and so on.
     """
 
     scale: Scale
@@ -138,21 +138,21 @@ def reproduce(
     seed: int = 0,
     progress: bool = False,
 ) -> Result:
-    """Make demonstrations, infer from them in every way, and rank.
+    """Make demonstrations, infer from them in every way, and rank the truth.
 
     Args:
-      folder: where all that takes long is kept, and found again.
+      folder: folder that keeps slow results, so that a second run finds them.
       data: folder of demo_*.csv and tasks.csv of a pendulum that avoided cell 55, and perhaps
-        exact_violation_torque10.csv; None for none.
-      is_quick: whether to do little of it.
-      seed: of everything random.
+        exact_violation_torque10.csv; None to leave this set out.
+      is_quick: whether to do a small amount of work.
+      seed: seed of everything random.
       progress: whether to show progress bars.
 
     Raises:
       ImportError: if CasADi is not installed.
       OSError: if a file is missing or cannot be written.
-      ValueError: if a file cannot be understood, the demonstrations enter cell 55, or what is kept
-        was made by another version or with other settings.
+      ValueError: if a file cannot be understood, the demonstrations enter cell 55, or the folder
+        was filled by another version or with other settings.
     """
     name, scale = ("quick", QUICK) if is_quick else ("full", FULL)
     keeping = Keeping.at(folder, name, scale, seed, progress)
@@ -160,7 +160,7 @@ def reproduce(
     theirs = None if data is None else _read(data, num if is_quick else None)
     exact = {} if data is None or theirs is None else _exact_violation(data, scale, theirs)
     sources = [
-        Source(name, kept_optima(keeping, name, problem, truth, num, SOUGHT), truth)
+        Source(name, kept_optima(keeping, name, problem, truth, num, SETTINGS), truth)
         for name, truth in CONSTRAINTS.items()
     ]
     sources += [] if theirs is None else [theirs]
@@ -184,7 +184,7 @@ def model(max_torque: float) -> str:
 
 
 def _read(folder: Path, most: int | None) -> Source:
-    """Return the demonstrations of a folder, which are to avoid cell 55."""
+    """Return the demonstrations of a folder, after a check that they avoid cell 55."""
     problem = pendulum(between_states=False)
     cell, made = problem.hypotheses.constraint(REAL_TRUTH), read_folder(folder, problem, most)
     for one in made:
@@ -211,7 +211,7 @@ def _exact_violation(data: Path, scale: Scale, theirs: Source) -> dict[float, np
 def _exact(
     max_torque: float, violation: np.ndarray, theirs: Source, num_trajectories: int, seed: int
 ) -> Exact:
-    """Return the curve by exact probabilities [D, H]."""
+    """Return the exact answers from exact violation probabilities [D, H]."""
     problem, made = pendulum(between_states=False), theirs.demonstrations
     bits = [
         problem.hypotheses.violations(one.states[None], problem.mdp.space, False) for one in made
@@ -220,16 +220,16 @@ def _exact(
     survival = np.maximum(
         1.0 - np.where(violation < noise_of(num_trajectories), 0.0, violation), LEAST_SURVIVAL
     )
-    said = Judged(-np.log(survival), entered)
-    drawn = curve(said, REAL_TRUTH, sizes_of(len(made)), seed=seed)
-    return Exact(max_torque, violation, said.score.sum(axis=0), drawn)
+    scores = Judged(-np.log(survival), entered)
+    ranks = curve(scores, REAL_TRUTH, sizes_of(len(made)), seed=seed)
+    return Exact(max_torque, violation, scores.score.sum(axis=0), ranks)
 
 
 def read_violation(path: Path, demonstrations: list[Demonstration]) -> np.ndarray:
     """Return exact violation probabilities [D, H] in the order of the demonstrations.
 
     Raises:
-      ValueError: if one is missing, or has no number from 0 to 1 for each of the 100 cells.
+      ValueError: if a demonstration has no row of numbers from 0 to 1 for each of the 100 cells.
     """
     with path.open() as file:
         rows = {row[0]: row[1:] for row in (line.strip().split(",") for line in file)}

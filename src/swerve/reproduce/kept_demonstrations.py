@@ -1,4 +1,4 @@
-"""Demonstrations by optimal control, made once and kept in a folder."""
+"""Folders of demonstrations: made by optimal control and kept, or read."""
 
 from __future__ import annotations
 
@@ -10,26 +10,28 @@ from swerve.demonstrations.demonstration import (
     read_demonstrations,
     write_demonstrations,
 )
-from swerve.demonstrators.optimal_control import SPARE, Search, first_optima
+from swerve.demonstrators.optimal_control import SPARE, first_optima
+from swerve.demonstrators.path_search import Search
 from swerve.problem.problem import Problem
 from swerve.problem.tasks import draw_tasks
 from swerve.reproduce.keeping import Keeping
 
 
 def kept_optima(
-    keeping: Keeping, name: str, problem: Problem, truth: int, num: int, search: Search
+    keeping: Keeping, name: str, problem: Problem, truth: int, num: int, settings: Search
 ) -> list[Demonstration]:
     """Return demonstrations that avoid a hypothesis, between states too.
 
-    Tasks that cannot be done without entering it are left out.
+    Tasks that cannot be done without entering the hypothesis are left out. Where the folder exists,
+    the demonstrations are read from it; otherwise they are made and written, all or none.
 
     Args:
-      keeping: where the folder of the demonstrations is, made there, all or none, unless it exists.
-      name: of that folder.
-      problem: whose MDP draws the tasks.
+      keeping: parent folder and settings.
+      name: name of the folder of the demonstrations.
+      problem: the problem; its MDP samples the tasks.
       truth: index of the hypothesis.
-      num: how many.
-      search: what is looked for.
+      num: number of demonstrations.
+      settings: settings of the search.
 
     Raises:
       NoPathError: if more than half of the tasks cannot be done.
@@ -38,7 +40,7 @@ def kept_optima(
     folder = keeping.folder / name
     if not folder.exists():
         with keeping.clock.timing(f"{name}: demonstrations"):
-            made = _optima(keeping, problem, truth, num, search)
+            made = _optima(keeping, problem, truth, num, settings)
         partial = folder.with_name(f"{name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         names = problem.mdp.action_names
@@ -51,13 +53,13 @@ def kept_optima(
 
 
 def _optima(
-    keeping: Keeping, problem: Problem, truth: int, num: int, search: Search
+    keeping: Keeping, problem: Problem, truth: int, num: int, settings: Search
 ) -> list[Demonstration]:
-    """Return as many demonstrations as asked for, of the first tasks that can be done."""
+    """Return `num` demonstrations, of the first tasks that can be done."""
     constraint, seed = problem.hypotheses.constraint(truth), keeping.seed
     tasks = draw_tasks(problem, SPARE * num, avoid=[constraint], seed=1_000 * seed + truth)
     how = {"seed": seed, "progress": keeping.progress}
-    optima = first_optima(problem, constraint, tasks, num, search, **how)
+    optima = first_optima(problem, constraint, tasks, num, settings, **how)
     return [optimum.demonstration for optimum in optima]
 
 
@@ -65,12 +67,12 @@ def read_folder(folder: Path, problem: Problem, most: int | None = None) -> list
     """Return the demonstrations of a folder of demo_*.csv and tasks.csv.
 
     Args:
-      folder: where they are.
-      problem: what they are of.
-      most: how many at most.
+      folder: the folder.
+      problem: the problem of the demonstrations.
+      most: largest number of demonstrations to read; None for all.
 
     Raises:
-      OSError: if there are none, or no tasks.
+      OSError: if there is no demonstration, or no tasks.csv.
       ValueError: if a file cannot be understood.
     """
     files = sorted(folder.glob("demo_*.csv"))[:most]
