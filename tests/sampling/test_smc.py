@@ -158,7 +158,7 @@ def test_numbers_are_rounded_up_to_whole_islands() -> None:
 def test_what_cannot_be_done_is_said() -> None:
     problem, task = PROBLEMS["pendulum"]
     evidence = sample(Guessed(problem), task, 100, method="smc")
-    with pytest.raises(ValueError, match="drawn by 'smc' cannot be weighed by 'plain'"):
+    with pytest.raises(ValueError, match="sampled by 'smc' cannot be weighed by 'plain'"):
         evidence.weighted("plain")
     lattice = routes(LatticeRoutes(toll=1.0))
     with pytest.raises(ValueError, match=r"'smc' needs a solver with a soft value .*got 'tabular'"):
