@@ -23,6 +23,7 @@ from swerve import PPO, Box, Problem, Task, learn, load_nominal, sample, save_no
 from swerve.evidence.estimators import kl_divergence
 from swerve.solvers.trained import losses
 from swerve.solvers.trained.lanes import fresh_lanes
+from swerve.solvers.trained.ppo import PPOTrainer
 from swerve.solvers.trained.training import TrainedNominal
 
 SMALL = PPO(
