@@ -24,7 +24,6 @@ SOURCES = ROOT / "src" / "swerve"
 STORED = ROOT / "tests" / "data" / "before_packages"
 
 WITH_MATPLOTLIB = ("base.figure_style", "presentation", "solvers.trained.history_plot", "reproduce")
-WITH_PUBLIC_NAMES = ("cli", "reproduce")  # what may `import swerve`
 JAX = {"jax", "equinox", "optax"}
 
 
@@ -123,10 +122,7 @@ def test_imports_run_one_way(module: str) -> None:
         if target is None:
             continue
         where = f"{module}, line {item.line}: imports {item.module}"
-        if target == "swerve":
-            assert is_in(module, WITH_PUBLIC_NAMES), where
-        else:
-            assert ROOMS.index(room(target)) <= ROOMS.index(room(module)), where
+        assert ROOMS.index(room(target)) <= ROOMS.index(room(module)), where
 
 
 def test_no_module_is_in_a_circle() -> None:

@@ -6,8 +6,9 @@ The public names below are bound on first use, so that `import swerve` is quick 
 stored evidence never imports JAX.
 """
 
-from swerve.base.version import VERSION as __version__
+from swerve.base.version import VERSION
 
+__version__ = VERSION
 TYPE_CHECKING = False  # as typing's, whose import would cost a third of ours
 
 if TYPE_CHECKING:

@@ -10,13 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
-from swerve.inference.greedy import Pick
 from swerve.inference.posterior import Prior
 from swerve.inference.ranking import Ranking
+
+if TYPE_CHECKING:
+    from swerve.inference.greedy import Pick
 
 TABLE_ROWS = 10  # hypotheses in a table unless told otherwise
 

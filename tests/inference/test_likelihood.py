@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.synthetic import evidence_of_columns, make_demonstration
 
+from swerve.answer import infer
 from swerve.hypotheses.grid import grid
 from swerve.inference import likelihood
-from swerve.inference.ranking import infer
-from tests.synthetic import evidence_of_columns, make_demonstration
 
 CELLS = grid(x=(0.0, 10.0, 5))
 CHANCES = np.array([0.05, 0.3, 0.6, 0.9, 0.5])

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.synthetic import evidence_of_columns, make_demonstration, make_evidence
 
+from swerve.answer import infer
 from swerve.hypotheses.grid import grid
 from swerve.inference.posterior import (
     Posterior,
@@ -20,8 +22,6 @@ from swerve.inference.posterior import (
     log_bayes_factor,
     posterior,
 )
-from swerve.inference.ranking import infer
-from tests.synthetic import evidence_of_columns, make_demonstration, make_evidence
 
 CELLS = grid(x=(0.0, 9.0, 4))
 CHANCES = np.array([0.05, 0.3, 0.6, 0.9])

@@ -36,6 +36,5 @@ WITH_JAX = (  # what may import JAX at module level: packages and modules
     "fitting",
     "demonstrators",
     "monitoring.foresee",
-    "monitoring.continuation",
     "reproduce",
 )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-import swerve
 from swerve.cli.options import ProblemText, TasksFile, open_work, say
 
 if TYPE_CHECKING:
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from swerve.constraints.base import Constraint
     from swerve.demonstrations.demonstration import Demonstration
     from swerve.demonstrators.optimal_control import Optimum
+    from swerve.problem.problem import Problem
 
 NUM = 10  # demonstrations, unless --num or --tasks say otherwise
 
@@ -89,6 +89,7 @@ def demonstrate(
         [default: tabular if the MDP is, else grid]
     """
     from swerve.base.files import check_writable
+    from swerve.base.space import Task
     from swerve.demonstrations.demonstration import new_files, read_tasks, write_demonstrations
 
     sought = control.arguments()
@@ -101,7 +102,7 @@ def demonstrate(
     if given is not None:
         names = [f"demo_{row.removeprefix('demo_')}" for row in given]
     new_files(out, names)  # before the work
-    batch = None if given is None else swerve.Task.stack(list(given.values()))
+    batch = None if given is None else Task.stack(list(given.values()))
     if by == "boltzmann":
         made = _boltzmann(job.problem, forbidden, batch, names, solver, seed)
     else:
@@ -129,7 +130,7 @@ def _check_choices(
 
 
 def _boltzmann(
-    problem: swerve.Problem,
+    problem: Problem,
     forbidden: Constraint,
     tasks: Task | None,
     names: list[str],
@@ -146,16 +147,17 @@ def _boltzmann(
       solver: specification of the solver that learns pi_c, or None for the default.
       seed: of the tasks and of the demonstrations.
     """
+    from swerve.demonstrators.boltzmann import demonstrate as sample_demonstrations
     from swerve.problem.tasks import draw_tasks
 
     if tasks is None:
         tasks = draw_tasks(problem, len(names), avoid=[forbidden], seed=seed)
     settings = {"names": names, "solver": solver, "seed": seed, "progress": True}
-    return swerve.demonstrate(problem, forbidden, tasks, **settings)
+    return sample_demonstrations(problem, forbidden, tasks, **settings)
 
 
 def _optimal(
-    problem: swerve.Problem,
+    problem: Problem,
     forbidden: Constraint,
     tasks: Task | None,
     names: list[str],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import swerve
 from swerve.cli.options import (
     AS_BEFORE,
     AsJson,
@@ -39,6 +38,8 @@ def fit_beta(
       demonstrations: CSV or Parquet files with the states and the actions.
       confidence: Of the interval.
     """
+    from swerve.fitting.beta import fit_beta as fit
+    from swerve.inference.ranking import Ranking
     from swerve.trust.doubts import data_warnings
 
     job = open_work(problem, work, how)
@@ -46,7 +47,7 @@ def fit_beta(
     if not found:
         raise ValueError("give at least one demonstration: beta is estimated from them")
     evidence = job.evidence(asked_tasks(job, found, tasks))
-    for warning in data_warnings(swerve.infer(evidence, found)):
+    for warning in data_warnings(Ranking.of(evidence, found)):
         say(f"warning: {warning}")
-    fit = swerve.fit_beta(job.problem, evidence, found, confidence)
-    print(json.dumps(fit.to_json()) if as_json else fit)
+    fitted = fit(job.problem, evidence, found, confidence)
+    print(json.dumps(fitted.to_json()) if as_json else fitted)
