@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from support.command import Run
 
+from swerve.base import store
+
 STORED = Path(__file__).parents[1] / "data" / "before_packages"
 INFER = ("infer", "pendulum?max_torque=10", "--json")
 SETTINGS = ("--solver", "grid?num_points=24", "--samples", 20)
@@ -57,3 +59,28 @@ def test_an_old_nominal_distribution_is_used_for_new_tasks(run: Run, tmp_path: P
     new = json.loads(out)["diagnostics"][0]
     for name in ("start", "log_partition", "effective_sample_size", "kl"):
         assert new[name] == old[name]
+
+
+@pytest.mark.parametrize("is_users", [False, True])
+def test_only_a_change_of_a_users_file_makes_an_old_folder_of_a_checkout_outdated(
+    run: Run, tmp_path: Path, is_users: bool
+) -> None:
+    work, checkout = tmp_path / "work", tmp_path / "src" / "swerve"
+    shutil.copytree(STORED / "work", work)
+    (checkout / "systems").mkdir(parents=True)
+    (checkout / "systems" / "pendulum.py").write_text("# imports other modules than before\n")
+    robot = tmp_path / "robot.py"
+    robot.write_text("# changed\n")
+    record = store.read_json(work / "problem.json")
+    old = [
+        checkout / "mdp.py",
+        checkout / "systems" / "pendulum.py",
+        *([robot] if is_users else []),
+    ]
+    record["sources"] = {str(path): "0" * 64 for path in old}
+    store.write_json(work / "problem.json", record)
+    options = ("--tasks", STORED / "tasks.csv", "--work", work)
+    status, _, said = run(*INFER, *options, *SETTINGS)
+    assert status == 0, said
+    assert (f"out of date ({robot} has changed)" in said) == is_users
+    assert ("learning" in said) == is_users

@@ -1,4 +1,7 @@
-"""Constraints from the data that they are stored as: the inverse of `Constraint.to_json`."""
+"""Rebuild constraints from the data that they are stored as: the inverse of `Constraint.to_json`.
+
+Kinds other than boxes are imported where one is met: a stored grid is read sooner without them.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,6 @@ from typing import Any
 
 from swerve.constraints.base import Constraint, Union
 from swerve.constraints.boxes import ActionBox, Box
-from swerve.constraints.occupancy import Occupancy
-from swerve.constraints.polygons import Polygon
-from swerve.constraints.predicate import Predicate, missing_function
-from swerve.constraints.shapes import Ball, HalfSpace
-from swerve.constraints.state_action import StateAction
 
 
 def constraint_from_json(data: dict[str, Any]) -> Constraint:
@@ -24,16 +22,28 @@ def constraint_from_json(data: dict[str, Any]) -> Constraint:
         case "action_box":
             return ActionBox(**_intervals(data))
         case "ball":
+            from swerve.constraints.shapes import Ball
+
             return Ball(data["radius"], **data["centre"])
         case "half_space":
+            from swerve.constraints.shapes import HalfSpace
+
             return HalfSpace(data["offset"], **data["normal"])
         case "polygon":
+            from swerve.constraints.polygons import Polygon
+
             return Polygon(data["vertices"], data["names"], data["depth"])
         case "state_action":
+            from swerve.constraints.state_action import StateAction
+
             actions = ActionBox(**_intervals(data["actions"]))
             return StateAction(constraint_from_json(data["states"]), actions)
         case "occupancy":
+            from swerve.constraints.occupancy import Occupancy
+
             return Occupancy.from_json(data)
+    from swerve.constraints.predicate import Predicate, missing_function
+
     return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
 
 

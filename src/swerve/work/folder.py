@@ -36,6 +36,7 @@ RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training
 SAMPLED = ("evidence", "foresight")  # results that depend on the method and on N too
 OUTDATED = "outdated"  # folder of the results of an older version of the problem
 FORMAT = 3  # of problem.json; increase it when its fields change
+FLAT_MDP = ("swerve", "mdp.py")  # end of the path of `problem.mdp` before Swerve had packages
 
 
 class State(Enum):
@@ -159,11 +160,7 @@ class WorkFolder:
                 "name another --work folder"
             )
         settings = Settings.from_json(stored["settings"])
-        changes = [
-            f"{source} has changed"
-            for source, old in stored["sources"].items()
-            if file_hash(Path(source)) != old
-        ]
+        changes = [f"{source} has changed" for source in _changed(stored["sources"])]
         if stored["swerve"] != VERSION:
             changes.append(f"swerve was {stored['swerve']} and is {VERSION}")
         if changes:
@@ -235,4 +232,19 @@ def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
     """Return the rows of the tasks that evidence lacks."""
     return [
         k for k, task in enumerate(zip(*tasks, strict=True)) if evidence.find(Task(*task)) is None
+    ]
+
+
+def _changed(sources: dict[str, str]) -> list[str]:
+    """Return the paths of source files that differ from their recorded hashes.
+
+    An editable installation records Swerve's own modules too. These are left out where the record
+    is from before they lay in packages, since the move changed no result.
+    """
+    paths = [Path(source) for source in sources]
+    flat = {path.parent for path in paths if path.parts[-2:] == FLAT_MDP and not path.exists()}
+    return [
+        str(path)
+        for path, old in zip(paths, sources.values(), strict=True)
+        if file_hash(path) != old and not flat & set(path.parents)
     ]
