@@ -141,7 +141,9 @@ class TestBadNumbers:
         readings = [5.0, 0.5, *later]
         planned = iter([*readings, *readings[:2]])  # of both runs
         monkeypatch.setattr(Probe, "read", lambda self, _: Reading(next(planned), 9.0, 0.1))
-        with pytest.warns(RuntimeWarning, match=r"diverged: .* 9 nats .* least KL, 0\.5 .* after 2 c"):
+        with pytest.warns(
+            RuntimeWarning, match=r"diverged: .* 9 nats .* least KL, 0\.5 .* after 2 c"
+        ):
             nominal = learn(problem, solver, seed=3)
         assert isinstance(nominal, TrainedNominal)
         assert nominal.history[:, 2].tolist() == readings
