@@ -31,7 +31,8 @@ from swerve.demonstrations.checks import (
     row_namer,
     shaped,
 )
-from swerve.demonstrations.tables import csv_text, read_table
+from swerve.demonstrations.csv_format import csv_text
+from swerve.demonstrations.formats import read_table
 
 MAX_ERRORS = 10  # unusable files that one error message names: more would hide the others
 

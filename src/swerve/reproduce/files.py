@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from swerve.base.files import write_bytes, write_text
-from swerve.demonstrations.tables import csv_text
+from swerve.demonstrations.csv_format import csv_text
 
 WIDTH = 3.5  # in: width of a column of a paper
 SIZE, SMALL = 8.0, 7.0  # pt: font sizes of titles and axis labels, and of ticks and legends

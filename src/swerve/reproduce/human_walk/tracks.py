@@ -31,7 +31,7 @@ from swerve.constraints.base import violates
 from swerve.constraints.occupancy import Occupancy
 from swerve.demonstrations.checks import check_finite, row_namer
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.demonstrations.tables import read_table
+from swerve.demonstrations.formats import read_table
 
 CORNER, CELL = (-11.0, -10.0), 0.01  # m: lower left corner and pixel of THOR's map
 LEAST_DISTANCE = 3.0  # m between the ends of a track
