@@ -14,7 +14,8 @@ def whole_number(value: Any, name: str, least: int) -> int:
     """Return a value as an int.
 
     Raises:
-      ValueError: if the value is no whole number (2.0 and True are none), or less than `least`.
+      ValueError: if the value is not a whole number (2.0 and True do not count as one), or less
+        than `least`.
     """
     try:
         number = operator.index(value)
@@ -28,7 +29,7 @@ def whole_number(value: Any, name: str, least: int) -> int:
 
 
 def number_or_nan(value: Any) -> float:
-    """Return a value as a float; NaN if the value is no number, such as text, True or a list."""
+    """Return a value as a float; NaN if the value is not a number, such as text, True or a list."""
     try:
         return math.nan if isinstance(value, str | bool) or np.ndim(value) else float(value)
     except (TypeError, ValueError, OverflowError):
@@ -36,7 +37,7 @@ def number_or_nan(value: Any) -> float:
 
 
 def numbers(values: Any, count: int) -> list[float] | None:
-    """Return values as `count` floats, NaN for no number; None if their count is another."""
+    """Return values as `count` floats, NaN for each non-number; None for another count."""
     try:
         items = [] if isinstance(values, str) else list(values)
     except TypeError:
@@ -48,7 +49,7 @@ def two_names(value: Any, name: str) -> tuple[str, str]:
     """Return the names of two states.
 
     Raises:
-      ValueError: if the value is no list of two different names.
+      ValueError: if the value is not a list of two different names.
     """
     names = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else ()
     if len(names) != 2 or not all(isinstance(item, str) for item in names) or names[0] == names[1]:
@@ -62,7 +63,7 @@ def positive_number(value: Any, name: str) -> float:
     """Return a value as a float.
 
     Raises:
-      ValueError: if the value is no finite number above 0.
+      ValueError: if the value is not a finite number above 0.
     """
     number = number_or_nan(value)
     if not (math.isfinite(number) and number > 0.0):
@@ -74,9 +75,9 @@ def instance(value: Any, kind: type, name: str, remedy: str) -> None:
     """Raise ValueError if a value is not an instance of a class.
 
     Args:
-      value: of the argument.
+      value: value of the argument.
       kind: the expected class.
-      name: of the argument.
+      name: name of the argument.
       remedy: what the caller should do instead.
     """
     if not isinstance(value, kind):

@@ -15,9 +15,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from swerve.base.phrases import wrapped
 
-WIDTH, MIN_WIDTH = 8.4, 2.5  # in: of a picture unless told otherwise, and of the narrowest
+WIDTH, MIN_WIDTH = 8.4, 2.5  # in: default width of a picture, and least width allowed
 
-INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"  # of text, of side notes, of warnings
+INK, FAINT, ALARM = "#1a1a1a", "#5f5f5f", "#a63603"  # colours of text, side notes and warnings
 
 
 def headed(
@@ -27,9 +27,9 @@ def headed(
 
     Args:
       header: lines as (text, size [pt], colour).
-      width: of the figure [in].
-      height: of the room below the header [in].
-      used: width of the room below the header [in].
+      width: width of the figure [in].
+      height: height of the room below the header [in].
+      used: width of the room that axes may use [in].
 
     Raises:
       ValueError: if the figure is too narrow for its text.
@@ -55,7 +55,7 @@ def headed(
 
 
 def open_sides(axes: Axes, size: float = 8.0) -> None:
-    """Hide the top and right sides of axes; the numbers at the other sides get a size [pt]."""
+    """Hide the top and right sides of axes; set the size [pt] of the numbers at the other sides."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=size)
 

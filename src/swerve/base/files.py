@@ -1,7 +1,7 @@
-"""Writing files so that readers see the old content or the new, never a part.
+"""Write files so that readers see the old content or the new content, never a part of it.
 
 A file is written beside its final place under another name, `.<file>.tmp`, and moved to its place
-when it is complete. A lock on that name makes a second writer wait.
+when it is complete. A lock on the temporary file makes a second writer wait.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def write_bytes(path: AnyPath, content: bytes) -> None:
 def locked(directory: AnyPath) -> Iterator[None]:
     """Hold the lock of a folder, so that nothing changes there between a read and a write.
 
-    A second process waits. Some network folders have no locks: there, nobody waits.
+    A second process waits. On network folders without locks no process waits.
     """
     with (Path(directory) / ".lock").open("ab") as file:
         with contextlib.suppress(OSError):
@@ -100,7 +100,7 @@ def _open_alone(temporary: Path) -> BinaryIO:
 
 
 def _sync_folder(folder: Path) -> None:
-    with contextlib.suppress(OSError):  # some network folders cannot; the file itself is safe
+    with contextlib.suppress(OSError):  # network folders may refuse; the file itself is safe
         descriptor = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)

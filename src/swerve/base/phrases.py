@@ -10,8 +10,8 @@ import re
 import textwrap
 from collections.abc import Sequence
 
-LEAST_PERCENT = 5e-4  # probability: smaller ones are given as powers of ten, not in per cent
-NUM_NAMES = 3  # names given before the rest are counted
+LEAST_PERCENT = 5e-4  # probability: smaller values are written as powers of ten, not in per cent
+NUM_NAMES = 3  # names that are listed before the other names are only counted
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -22,7 +22,7 @@ def some_names(names: Sequence[str]) -> str:
 
 
 def times(nats: float) -> str:
-    """Return e^nats to two digits; a power of ten where e^nats is large or small."""
+    """Return e^nats to two digits; as a power of ten where e^nats is large or small."""
     if not -math.log(1e4) < nats <= math.log(1e9):
         return f"10^{nats / math.log(10):.0f}" if math.isfinite(nats) else "0"
     value = float(f"{math.exp(nats):.1e}")
@@ -68,6 +68,6 @@ def ended(text: str) -> str:
 
 
 def wrapped(text: str, width: float, size: float) -> str:
-    """Return text of a font size [pt] in lines of a width [in], with no break inside a value."""
+    """Wrap text of a font size [pt] to lines of a width [in], with no break inside a value."""
     text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)
     return textwrap.fill(text, int(width * 72 / (0.6 * size)))

@@ -1,4 +1,4 @@
-"""Progress bars with the time left, on standard error."""
+"""Show progress bars with the time left, on standard error."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ def progress_bar(description: str, total: float, enabled: bool) -> Iterator[Adva
     """Show a bar while the block runs.
 
     Args:
-      description: of the work, shown before the bar.
+      description: name of the work, shown before the bar.
       total: amount of work, in any unit.
-      enabled: False shows nothing.
+      enabled: whether to show the bar.
 
     Yields:
-      A function to call with the amount done since the last call.
+      A function to call with the amount of work done since the last call.
     """
     if not enabled:
         yield lambda amount, note="": None

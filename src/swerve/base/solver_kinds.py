@@ -1,4 +1,4 @@
-"""Say what kind each solver is, in one table that every other room reads.
+"""Say what kind each solver is, in one table that the other packages read.
 
 A new solver is one file below `swerve/solvers`, which defines its class, and one line of `KINDS`.
 """
@@ -13,13 +13,14 @@ from functools import partial
 
 @dataclass(frozen=True)
 class SolverKind:
-    """What the library has to know of a solver before its module is imported.
+    """Facts about a solver that the library needs before it imports the solver's module.
 
     Attributes:
-      path: module and class, "module:Class"; a module with a dot in front is one of swerve.solvers.
-      finer: setting that brings the solver nearer to pi_0 when it is raised; empty for none.
-      value_gap: difference [nats] that may lie between the solver's own log Z_0 and that of its
-        samples before a warning is due; None for a solver without a soft value.
+      path: module and class, "module:Class"; a leading dot stands for the package swerve.solvers.
+      finer: setting that brings the solver nearer to pi_0 when the setting is raised; empty for
+        none.
+      value_gap: largest difference [nats] between the solver's own log Z_0 and the log Z_0 of its
+        samples that gives no warning; None for a solver without a soft value.
       adapts: whether the solver adapts what it learned to a constraint in force.
       max_dimensions: most state dimensions that the solver takes.
       is_exact: whether the solver answers exactly, without samples.
@@ -47,7 +48,7 @@ class SolverKind:
 
     @property
     def computes_value(self) -> bool:
-        """Whether the solver works its soft value out rather than train it."""
+        """Whether the solver computes its soft value without training."""
         return self.has_soft_value and not self.is_trained
 
     @property
@@ -57,7 +58,7 @@ class SolverKind:
 
     @property
     def default_method(self) -> str:
-        """Method by which the solver is sampled when none is asked for; "exact" for no sampling."""
+        """Default method of sampling with the solver; "exact" where it needs no sampling."""
         if self.is_exact:
             return "exact"
         return "smc" if self.has_soft_value else "importance"
@@ -66,7 +67,7 @@ class SolverKind:
 sampled = SolverKind
 trained = partial(SolverKind, finer="num_steps", is_trained=True)
 exact = partial(SolverKind, is_exact=True)
-KINDS: dict[str, SolverKind] = {  # by their names on the command line
+KINDS: dict[str, SolverKind] = {  # kinds by the solvers' names on the command line
     "grid": sampled(".grid.grid:Grid", "num_points", value_gap=0.1, adapts=True, max_dimensions=3),
     "ppo": trained(".trained.ppo:PPO"),
     "soft-value": trained(".trained.soft_value:SoftValue", value_gap=1.0, adapts=True),
@@ -76,7 +77,7 @@ KINDS: dict[str, SolverKind] = {  # by their names on the command line
     "enumeration": exact(".exact.enumeration:Enumeration"),
     "soft-paths": exact(".exact.soft_paths:SoftPaths"),
 }
-UNKNOWN = SolverKind("", finer="num_steps")  # a solver that is not in the table: sampled
+UNKNOWN = SolverKind("", finer="num_steps")  # kind of a solver that is not in the table
 
 
 def kind_named(specification: str) -> SolverKind:
@@ -97,7 +98,7 @@ def solver_names(is_wanted: Callable[[SolverKind], bool] = lambda kind: True) ->
 
 
 def suggested_solver(is_tabular: bool, num_dimensions: int) -> str:
-    """Return the solver for an MDP: an exact one for tables, else the first with a soft value."""
+    """Return the solver for an MDP: exact for tables, else the first that adapts to constraints."""
     if is_tabular:
         return solver_names(lambda kind: kind.needs_tables)[0]
     return solver_names(lambda kind: kind.adapts and num_dimensions <= kind.max_dimensions)[0]

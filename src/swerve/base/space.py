@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 TWO_PI = 2.0 * math.pi
-LATTICE_EXTENT = 250.0  # whole numbers; see `StateSpace.unit`
-MAX_HALF_EXTENTS = 10  # from the middle of the bounds to a state: a larger number has another unit
-MAX_TURNS = 10  # of an angle: a larger number is in degrees
+LATTICE_EXTENT = 250.0  # lattice steps: largest unit of distance, see `StateSpace.unit`
+MAX_HALF_EXTENTS = 10  # half widths, from the middle of the bounds: states beyond have a wrong unit
+MAX_TURNS = 10  # full turns: an angle beyond is in degrees
 
 
 class Task(NamedTuple):
@@ -55,8 +55,8 @@ class Actions(NamedTuple):
     """Actions and the names of their components.
 
     Attributes:
-      names: of the m components.
-      values: [..., m]; NaN where a trajectory has ended.
+      names: names of the m components.
+      values: [..., m] the actions; NaN where a trajectory has ended.
     """
 
     names: tuple[str, ...]
@@ -70,7 +70,7 @@ class Transitions(NamedTuple):
       shape: number of values of each component of a state; the first component varies fastest.
       successors: [S, A] the number of the next state; negative where a state does not offer the
         action.
-      actions: [A, m].
+      actions: [A, m] the actions that can be chosen.
     """
 
     shape: tuple[int, ...]
@@ -86,26 +86,26 @@ class Transitions(NamedTuple):
         return np.stack(index, axis=-1).astype(float)
 
     def number(self, states: Any) -> Any:
-        """Return the number [...] of the state nearest to each of [..., n], NumPy or JAX."""
+        """Return the number [...] of the state nearest to each point [..., n], NumPy or JAX."""
         return lattice_number(states, self.shape)
 
     def action_number(self, actions: Any) -> Any:
-        """Return the number [...] of the action nearest to each of [..., m], NumPy or JAX."""
+        """Return the number [...] of the action nearest to each point [..., m], NumPy or JAX."""
         return nearest(actions, self.actions)
 
     def fits(self, states: np.ndarray) -> np.ndarray:
-        """Return [L-1, A] True where an action makes the step between two of the states [L, n]."""
+        """Return [L-1, A] True where an action leads from a state of a path [L, n] to the next."""
         number = self.number(states)
         return np.asarray(self.successors[number[:-1]] == number[1:, None])
 
     def rests(self, states: np.ndarray) -> np.ndarray:
-        """Return [L-1] True where a step of states [L, n] stays in the last state to the end."""
+        """Return [L-1] True for steps, at the end of a path [L, n], that stay in its last state."""
         number = self.number(states)
         return np.logical_and.accumulate((number == number[-1])[::-1])[::-1][:-1]
 
 
 def lattice_number(states: Any, shape: Sequence[int]) -> Any:
-    """Return the number [...] of the lattice point nearest to each of [..., n], NumPy or JAX."""
+    """Return the number [...] of the lattice point nearest to each point [..., n], NumPy or JAX."""
     xp = states.__array_namespace__()
     index, stride = 0, 1
     for component, size in enumerate(shape):
@@ -116,7 +116,7 @@ def lattice_number(states: Any, shape: Sequence[int]) -> Any:
 
 
 def nearest(values: Any, table: Any) -> Any:
-    """Return the number [...] of the row of a table [A, m] nearest to each of [..., m]."""
+    """Return the number [...] of the row of a table [A, m] nearest to each point [..., m]."""
     xp = values.__array_namespace__()
     return ((values[..., None, :] - xp.asarray(table)) ** 2).sum(axis=-1).argmin(axis=-1)
 
@@ -182,7 +182,7 @@ class StateSpace:
 
     @cached_property
     def believable(self) -> np.ndarray:
-        """[2, n] the least and largest believable state: numbers beyond have another unit."""
+        """[2, n] the least and the largest believable state: numbers beyond have a wrong unit."""
         centre = np.where(self.is_angle, 0.0, self.bounds.mean(axis=1))
         reach = np.where(self.is_angle, MAX_TURNS * TWO_PI, MAX_HALF_EXTENTS * self.extent / 2)
         return np.stack([centre - reach, centre + reach])

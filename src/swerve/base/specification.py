@@ -1,7 +1,8 @@
 """Read texts that name a thing and its parameters: "pendulum?max_torque=10", "robot.py:problem".
 
 A specification is a target and parameters, `target?name=value&name=value`. Each parameter is
-converted to the type that the target's signature says, by the annotation or else by the default.
+converted to its type in the target's signature: the type of the annotation or, without one, the
+type of the default.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ class Specification:
 def build(function: Callable[..., Any], specification: Specification, text: str) -> Any:
     """Call a function or class with a specification's parameters, converted to its types.
 
-    A parameter has the type of its default where its annotation is missing or exists for type
-    checkers alone; without a default it is a text.
+    Where the annotation of a parameter is missing or exists for type checkers alone, the parameter
+    has the type of its default. Without a default, the parameter is a text.
 
     Raises:
       ValueError: if the function has no such parameter, or a value is not of the parameter's type.
@@ -85,7 +86,7 @@ def build(function: Callable[..., Any], specification: Specification, text: str)
 
 
 def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
-    """Convert a text to the type of a parameter; of several types, to the first that fits."""
+    """Convert a text to the type of a parameter; where it has several, to the first that fits."""
     hint, remark = _annotation(function, parameter), ""
     options = (hint,) if hint in list(_CONVERSIONS) else get_args(hint)
     kinds = [kind for kind in options if kind in list(_CONVERSIONS)]
@@ -108,8 +109,8 @@ def _convert(value: str, function: Callable[..., Any], parameter: inspect.Parame
 def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> Any:
     """Return a parameter's annotation; None if it is missing or cannot be resolved.
 
-    Annotations are resolved one by one: one that names an import for type checkers alone does not
-    spoil the others.
+    Annotations are resolved one by one: an annotation that names an import for type checkers alone
+    does not spoil the other annotations.
     """
     if parameter.annotation is parameter.empty:
         return None
@@ -123,15 +124,15 @@ def _annotation(function: Callable[..., Any], parameter: inspect.Parameter) -> A
 
 
 def _namespaces(function: Callable[..., Any]) -> list[dict[str, Any]]:
-    """Return the namespaces of a signature's names: of a class those of all its bases."""
+    """Return the namespaces of a signature's names; for a class, those of all its bases."""
     if isinstance(function, type):
         return [vars(sys.modules.get(base.__module__, builtins)) for base in function.__mro__]
-    inner = getattr(function, "func", function)  # of functools.partial
+    inner = getattr(function, "func", function)  # the function inside a functools.partial
     return [getattr(inspect.unwrap(inner), "__globals__", {})]
 
 
 def _ints(value: str) -> tuple[int, ...]:
-    """Return several numbers; a single number is no tuple."""
+    """Return whole numbers separated by commas; raise ValueError for a single number."""
     if "," not in value:
         raise ValueError
     return tuple(_int(part) for part in value.split(","))

@@ -1,13 +1,14 @@
-"""The format of stored results: versioned, checksummed, and never a pickle.
+"""Store results in files that are versioned and checksummed, and never a pickle.
 
     file = ZIP(header.json, <name>.npy, ...),   uncompressed, one CRC-32 for each member
 
-header.json has the keys `format` (the kind of file), `version`, `arrays` (their names) and the keys
-of the caller. Each member is read and verified when it is first needed, so that reading a summary
-does not read the large arrays stored beside it. Any ZIP tool and `numpy.load` read the file too.
-Small records are JSON with the CRC-32 of their own canonical text.
+header.json has the keys `format` (the kind of file), `version`, `arrays` (the names of the arrays)
+and the keys of the caller. Each member is read and verified when it is first needed, so that
+reading a summary does not read the large arrays stored beside it. Any ZIP tool and `numpy.load`
+read the file too. Small records are JSON with the CRC-32 of their own canonical text.
 
-Files are written as in `files`: readers see the old content or the new. Reading changes nothing.
+Files are written as in `files`: readers see the old content or the new content. Reading changes
+nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 HEADER = "header.json"
 RESERVED = ("format", "version", "arrays")
-"""Keys of every header, which a caller may not use."""
+"""Keys that every header has, and that a caller may not use."""
 
 ARRAY_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]*(/[A-Za-z0-9_-][A-Za-z0-9_.-]*)*")
 ARRAY_KINDS = "biufcU"
@@ -46,7 +47,7 @@ class StoreError(ValueError):
 class StoredFile:
     """A stored file, open for reading; made by `open_file`, closed by `with` or when dropped.
 
-    The content is that of the moment of opening, even if the file is replaced meanwhile.
+    The content stays as it was when the file was opened, even if the file is replaced meanwhile.
 
     Attributes:
       path: the file.
@@ -101,9 +102,9 @@ def write(
     """Write a file at once; its folder is created if need be.
 
     Args:
-      path: of the file; an existing file is replaced.
-      kind: of file, such as "evidence".
-      version: of the contents of this kind; increase it when the contents change.
+      path: path of the file; an existing file is replaced.
+      kind: kind of file, such as "evidence".
+      version: version of this kind of file; increase the version when the contents change.
       header: JSON data, with none of the keys in RESERVED.
       arrays: numbers, booleans or text of any shape, by name; a name may have parts, as in "a/b".
 
@@ -112,7 +113,7 @@ def write(
       TypeError: if the header holds data that JSON cannot hold.
       OSError: if the folder cannot be written; a file that existed there is still there.
     """
-    import zipfile  # takes 10 ms
+    import zipfile  # the import takes 10 ms
 
     arrays = {name: _storable(name, array) for name, array in arrays.items()}
     clash = [key for key in RESERVED if key in header]
@@ -141,8 +142,8 @@ def open_file(path: AnyPath, kind: str, version: int) -> StoredFile:
 
     Args:
       path: the file.
-      kind: that the file must have.
-      version: the version that can be read.
+      kind: kind that the file must have.
+      version: version that can be read.
 
     Raises:
       StoreError: if the file is cut short, altered, not a Swerve file, or of another kind or
@@ -195,7 +196,7 @@ def read_json(path: AnyPath) -> Any:
 
 
 def _open_archive(path: Path) -> zipfile.ZipFile:
-    """Open a ZIP file after checking that it begins like one and has a header."""
+    """Open a ZIP file after checking that the file begins like a ZIP file and has a header."""
     import zipfile
 
     with path.open("rb") as file:

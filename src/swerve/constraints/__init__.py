@@ -1,1 +1,1 @@
-"""Constraints: forbidden sets of states and actions, and the rule of what enters them."""
+"""Define constraints: forbidden sets of states and actions, and the rule of what enters a set."""

@@ -1,10 +1,10 @@
-"""Constraints: forbidden sets of states and actions, and the rule of what enters them.
+"""Define constraints: forbidden sets of states and actions, and the rule of what enters a set.
 
 A constraint c is a set of states, of actions, or of both. A trajectory enters c where one of its
 states lies in c; where the straight segment between two consecutive states meets c (along the
 shorter arc for angles), unless states alone are judged; and where one of its actions lies in c.
-`step_enters` and `violates` are this rule. All tests work alike on NumPy and JAX arrays: the same
-code judges demonstrations and masks the actions of a policy.
+`step_enters` and `violates` are this rule. All these checks work alike on NumPy and JAX arrays: the
+same code judges demonstrations and masks the actions of a policy.
 
 Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 """
@@ -57,7 +57,7 @@ class Constraint(ABC):
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """For each state that the constraint names, an interval that holds it; open sides +-inf."""
+        """For each state that the constraint names, an interval around the set; +-inf if open."""
         return {}
 
     def forbids(self, actions: Actions) -> Any:
@@ -76,7 +76,7 @@ class Constraint(ABC):
         angles by the shorter arc.
 
         Raises:
-          ValueError: if the set has no shape to tell distances to, as with predicates.
+          ValueError: if the set has no shape to measure distances to, as with predicates.
         """
         del states, space
         raise ValueError(
@@ -88,12 +88,14 @@ class Constraint(ABC):
         """Return the set less a margin: the states deeper inside than measurement noise explains.
 
         Args:
-          margin: for some states, how deep inside, in the state's unit.
-          space: of the states: an interval of a full turn has no ends, and so no margin.
+          margin: for some states, by name, how deep inside the set a state must lie, in the state's
+            unit.
+          space: names, angles and bounds of the states. An interval of a full turn has no ends, so
+            a margin does not change it.
 
         Raises:
-          ValueError: if a margin is negative or no number, or is that of no state; if the margin
-            leaves nothing of the set; or if the set has no shape, as with predicates.
+          ValueError: if a margin is negative or not a number; if a margin names no state; if the
+            margins leave nothing of the set; or if the set has no shape, as with predicates.
         """
         if not isinstance(margin, Mapping):
             raise ValueError(
@@ -123,14 +125,14 @@ class Constraint(ABC):
 
 
 class Union(Constraint):
-    """All that at least one of several constraints forbids.
+    """The states and actions that at least one of several constraints forbids.
 
     Args:
-      name: of the union, in tables.
-      constraints: its parts.
+      name: name of the union, in tables.
+      constraints: parts of the union.
 
     Raises:
-      ValueError: if there is no part, or a part is no constraint.
+      ValueError: if there is no part, or a part is not a constraint.
     """
 
     def __init__(self, name: str, constraints: Sequence[Constraint]) -> None:
@@ -212,7 +214,7 @@ def nowhere(values: Any) -> Any:
 
 
 def _any(masks: Iterable[Any]) -> Any:
-    """Return where at least one of the masks is True."""
+    """Return [...] True where at least one of several masks [...] is True."""
     return functools.reduce(operator.or_, masks)
 
 
@@ -222,7 +224,7 @@ def check_constraints(
     """Return the constraints as a tuple after checking each against the states and actions.
 
     Raises:
-      ValueError: if an item is no Constraint or does not fit; `where` names the argument.
+      ValueError: if an item is not a Constraint or does not fit; `where` names the argument.
     """
     if isinstance(constraints, Constraint):
         raise ValueError(f"{where}: expected a list of constraints, got {constraints!r} alone")
@@ -258,7 +260,7 @@ def step_enters(
       ends: [..., n] states in which steps end.
       space: names, angles and bounds of the states.
       between_states: whether the segments between states count as well.
-      actions: [..., m] of the steps; without actions the states alone are judged.
+      actions: [..., m] actions of the steps; without actions the states alone are judged.
     """
     if between_states:
         hit = constraint.crosses(starts, ends, space)
@@ -276,7 +278,7 @@ def violates(
     between_states: bool,
     actions: Actions | None = None,
 ) -> np.ndarray:
-    """Return [...] True where a trajectory enters the constraint: one of its steps, or its start.
+    """Return [...] True where a trajectory enters the constraint, by a step or by its start.
 
     A single state, T = 0, is a trajectory too: it enters the constraint where it lies in the set.
 
@@ -292,6 +294,6 @@ def violates(
     assert actions is not None or not constraint.about_actions
     starts, ends = states[..., :-1, :], states[..., 1:, :]
     hit = step_enters(constraint, starts, ends, space, between_states, actions).any(axis=-1)
-    if between_states:  # a segment holds its start
+    if between_states:  # the first segment includes the start
         return hit
     return hit | constraint.contains(states[..., :1, :], space).any(axis=-1)

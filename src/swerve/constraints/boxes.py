@@ -1,4 +1,4 @@
-"""Constraints made of intervals: boxes of states, and boxes of actions.
+"""Define constraints made of intervals: boxes of states, and boxes of actions.
 
 Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 """
@@ -73,9 +73,9 @@ class Box(Constraint):
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where the segment meets the box.
 
-        The slab test: the segment lies between two sides of the box for an interval of its length;
-        the segment meets the box where the intervals of all components overlap. The box is tried
-        one turn away along each angle too.
+        This is the slab test. For each component, the segment lies between two sides of the box
+        over a part of its length. The segment meets the box where the parts of all components
+        overlap. For angles, the copies of the box one turn away are tried too.
         """
         xp = starts.__array_namespace__()
         steps = space.difference(starts, ends)
@@ -146,7 +146,7 @@ class ActionBox(Constraint):
         return f"action {_intervals_name(self.intervals)}"
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where a name is that of no component of the actions."""
+        """Raise ValueError where no component of the actions has a name of the box."""
         for name in self.intervals:
             if name not in action_names:
                 raise ValueError(
@@ -170,7 +170,7 @@ class ActionBox(Constraint):
         return inside
 
     def among(self, action_names: Sequence[str], actions: Any) -> np.ndarray:
-        """Return [A] which rows of a table of actions [A, m] the box forbids."""
+        """Return [A] True for each row of a table of actions [A, m] that the box forbids."""
         table = np.asarray(actions, float)
         return np.asarray(self.forbids(Actions(tuple(action_names), table)))
 
@@ -179,7 +179,7 @@ class ActionBox(Constraint):
         return np.full(np.shape(states)[:-1], np.inf)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> ActionBox:
-        """Return the box itself: the margin is about states."""
+        """Return the box itself: the margin concerns states alone."""
         del margin, space
         return self
 
@@ -189,7 +189,7 @@ class ActionBox(Constraint):
 
 
 def interval_distance(values: np.ndarray, low: Any, high: Any, is_angle: bool) -> np.ndarray:
-    """Return the distance of values to intervals [low, high); by the shorter arc for angles."""
+    """Return the distance of values to intervals [low, high), along the shorter arc for angles."""
     if not is_angle:
         return np.maximum(0.0, np.maximum(low - values, values - high))
     above, width = (values - low) % TWO_PI, high - low
@@ -234,7 +234,7 @@ def call(kind: str, arguments: Sequence[str], named: Mapping[str, str]) -> str:
 
 
 def short(value: float) -> str:
-    """Return a number as text of three digits, 0 without a sign."""
+    """Return a number as text of three significant digits; 0 has no sign."""
     return f"{value:.3g}" if value != 0 else "0"
 
 
@@ -258,9 +258,10 @@ def _literal(value: float) -> str:
 
 
 def _slabs(start: Any, step: Any, low: float, high: float, is_angle: bool) -> list[tuple[Any, Any]]:
-    """Return, for each image of [low, high), the part (enter, leave) of a segment inside it.
+    """Return, for each image of [low, high), the part (enter, leave) of a segment in the image.
 
-    The segment is start + u * step with 0 <= u <= 1; enter >= leave where it misses the image.
+    An interval of an angle has images one turn away on both sides. The segment is start + u * step
+    with 0 <= u <= 1; enter >= leave where the segment misses the image.
     """
     xp = start.__array_namespace__()
     if is_angle:

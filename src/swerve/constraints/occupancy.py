@@ -1,10 +1,10 @@
-"""Constraints given by a map of blocked cells, such as the walls of a room.
+"""Define constraints by a map of blocked cells, such as the walls of a room.
 
     cell(x, y) = (floor((y - y_0) / w), floor((x - x_0) / w)),   forbidden where blocked[cell],
 
-with (x_0, y_0) the lower left corner of the map and w the side of its cells. All beyond the map is
-forbidden. A segment is tried at points no further apart than half a cell, so that the test can only
-miss a segment across the tip of a corner.
+with (x_0, y_0) the lower left corner of the map and w the side of its cells. Every place beyond the
+map is forbidden. A segment is tried at points at most half a cell apart, so that only a segment
+across the tip of a corner can be missed.
 
 Shapes: R rows of the map, upwards, C columns, n state dimensions, ... any batch dimensions.
 """
@@ -24,21 +24,22 @@ from swerve.base.arguments import numbers, positive_number, two_names
 from swerve.base.space import StateSpace
 from swerve.constraints.base import Constraint
 
-SPACING = 0.5  # cells between two tried points of a segment: only the tip of a corner is missed
+SPACING = 0.5  # cells, between two tried points of a segment: only the tip of a corner is missed
 
 
 class Occupancy(Constraint):
-    """The places that a map shows as blocked, and all beyond the map.
+    """The places that a map shows as blocked, and every place beyond the map.
 
     Args:
-      name: of the constraint, in tables.
-      blocked: [R, C] True where nobody can be; the first row is the lowest.
+      name: name of the constraint, in tables.
+      blocked: [R, C] True where a cell is forbidden; the first row is the lowest.
       corner: (x, y) of the lower left corner of the map, in the states' unit.
       cell: side of a cell, in the states' unit.
       names: the two states that are x and y.
 
     Raises:
-      ValueError: if the map is no table of booleans, or a number is not finite or not positive.
+      ValueError: if the map is not a table of booleans, the corner is not a pair of finite numbers,
+        or the side of a cell is not positive.
     """
 
     def __init__(
@@ -77,13 +78,13 @@ class Occupancy(Constraint):
         return self._name
 
     def widened(self, distance: float) -> Occupancy:
-        """Return the map with every place blocked that is nearer than a distance to a blocked one.
+        """Return the map with all cells blocked that are nearer than a distance to a blocked cell.
 
-        The middle of a round body with this radius cannot come there. All beyond the map counts as
-        blocked.
+        The middle of a round body whose radius is this distance cannot come into these cells. Every
+        place beyond the map counts as blocked.
 
         Raises:
-          ValueError: if the distance is no finite number above 0.
+          ValueError: if the distance is not a finite number above 0.
         """
         from scipy.ndimage import distance_transform_edt
 
@@ -93,7 +94,7 @@ class Occupancy(Constraint):
         return Occupancy(self.name, nearest < distance, self.corner, self.cell, self.names)
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where one of its names is no state, or an angle."""
+        """Raise ValueError where one of its names is not a state, or is an angle."""
         for name in self.names:
             space.column(name)
             if name in space.angles:
@@ -107,7 +108,7 @@ class Occupancy(Constraint):
             for name, low in zip(self.names, self.corner, strict=True)
         )
         rows, columns = self.blocked.shape
-        beyond = ~((x >= 0) & (x < columns) & (y >= 0) & (y < rows))  # also where NaN
+        beyond = ~((x >= 0) & (x < columns) & (y >= 0) & (y < rows))  # True for NaN as well
         column = xp.where(beyond, 0, x).astype(xp.int32)
         row = xp.where(beyond, 0, y).astype(xp.int32)
         return beyond | xp.asarray(self.blocked)[row, column]
@@ -157,7 +158,7 @@ class Occupancy(Constraint):
 
 
 def _as_array(blocked: Any) -> np.ndarray:
-    """Return a copy as an array; of objects, which are refused, where rows differ in length."""
+    """Return a copy as an array; of objects, refused later, where rows differ in length."""
     try:
         return np.array(blocked)
     except ValueError:

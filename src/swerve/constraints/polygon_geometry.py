@@ -1,4 +1,4 @@
-"""Geometry of polygons: points inside, distances to edges, and cuts of lines with edges.
+"""Compute the geometry of polygons: points inside, distances to edges, lines that cut edges.
 
 A polygon encloses a point (x, y) where a ray from the point to the right crosses an odd number of
 edges. The ray crosses the edge from (x1, y1) to (x2, y2) where
@@ -21,9 +21,9 @@ import numpy as np
 
 from swerve.base.arguments import numbers
 
-FLAT = 1e-12  # of the squared extent: a smaller area counts as none, since rounding makes as much
+FLAT = 1e-12  # share of the squared extent: smaller areas can be rounding errors, and count as 0
 PRECISION = 0.01  # relative error of the depth of the deepest point
-BEYOND = 0.01  # of an edge's length: cuts so far beyond its ends still count, so that none is lost
+BEYOND = 0.01  # share of an edge's length: cuts so near beyond an end count, against rounding
 AT_ONCE = 1 << 15  # pairs of a point and an edge judged at once: intermediate results fit the cache
 
 
@@ -31,8 +31,8 @@ def checked_vertices(vertices: Any) -> np.ndarray:
     """Return vertices [V, 2] after checking that they make a polygon.
 
     Raises:
-      ValueError: if there are fewer than 3 vertices, a vertex is repeated or not finite, all lie on
-        a line, or the polygon crosses itself.
+      ValueError: if there are fewer than 3 vertices, a vertex is repeated or not finite, all
+        vertices lie on a line, or the polygon crosses itself.
     """
     corners = _as_array(vertices)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
@@ -58,7 +58,7 @@ def checked_vertices(vertices: Any) -> np.ndarray:
 
 
 def _as_array(vertices: Any) -> np.ndarray:
-    """Return vertices as an array, or raise ValueError naming the first that is no pair."""
+    """Return vertices as an array; raise ValueError naming the first vertex that is not a pair."""
     try:
         corners = np.asarray(vertices)
         if corners.dtype.kind in "iuf":
@@ -79,7 +79,7 @@ def _as_array(vertices: Any) -> np.ndarray:
 def where_near(judge: Callable[..., Any], near: Any, values: Sequence[Any], num_edges: int) -> Any:
     """Return [...] True where a point is near and judged True.
 
-    With NumPy only the points that are near are judged; JAX, whose shapes are fixed, judges all.
+    With NumPy only the points that are near are judged. JAX judges all, since its shapes are fixed.
 
     Args:
       judge: maps values [M] to booleans [M]; the work grows with M and with the edges.
@@ -97,7 +97,7 @@ def where_near(judge: Callable[..., Any], near: Any, values: Sequence[Any], num_
 
 
 def blockwise(function: Callable[..., Any], values: Sequence[Any], num_edges: int) -> np.ndarray:
-    """Return a function of values, each [M], computed block by block to save memory."""
+    """Compute a function of values, each [M], block by block to save memory."""
     size = max(1, AT_ONCE // num_edges)
     blocks = range(0, max(1, len(values[0])), size)
     return np.concatenate([function(*(v[k : k + size] for v in values)) for k in blocks])
@@ -122,15 +122,16 @@ def is_farther(vertices: np.ndarray, distance: float, x: Any, y: Any) -> Any:
 
 
 def cuts(vertices: np.ndarray, depth: float, start: Any, step: Any) -> Any:
-    """Return where segments start + u * step may cross the edge of the points deeper than a depth.
+    """Return where segments start + u * step may cross the edge of the set deeper than a depth.
 
-    The edge lies on lines beside the polygon's edges, and on circles around its vertices.
+    That set is the points inside that lie farther than the depth from every edge of the polygon.
+    Its edge lies on lines beside the polygon's edges, and on circles around the vertices.
 
     Args:
       vertices: [V, 2].
-      depth: distance of the edge inside the polygon; 0 for the polygon itself.
+      depth: distance between the two edges; 0 for the polygon itself.
       start: x and y, each [...].
-      step: likewise.
+      step: dx and dy, each [...].
 
     Returns:
       [C, ...] values of u in ascending order, which hold all crossings with 0 < u < 1; 0 where a
@@ -161,9 +162,9 @@ def cuts(vertices: np.ndarray, depth: float, start: Any, step: Any) -> Any:
 def deepest(vertices: np.ndarray) -> float:
     """Return the depth of the deepest point inside, at most 1 % too small.
 
-    The depth of a point is its distance to the nearest edge. Squares that cover the polygon are
-    split in four as long as one may hold a point deeper than the deepest so far: no point is deeper
-    than the middle of its square and half the diagonal.
+    The depth of a point is its distance to the nearest edge. Squares cover the polygon. A square is
+    split in four while it may hold a point deeper than the deepest point found so far: no point of
+    a square is deeper than the depth of the square's middle plus half a diagonal.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     half = float((high - low).min()) / 2
@@ -189,8 +190,8 @@ def deepest(vertices: np.ndarray) -> float:
 def clipped(vertices: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Return the part of a polygon [V, 2] within limits [2, 2], (low, high) of x and of y.
 
-    One side after the other is cut off (Sutherland and Hodgman). Several separate parts come back
-    as one polygon, joined along the side.
+    What lies beyond each limit is cut off, one limit after the other (Sutherland and Hodgman).
+    Several separate parts are returned as one polygon, joined along the limit.
     """
     for axis, (low, high) in enumerate(limits.tolist()):
         for sign, limit in ((1.0, low), (-1.0, -high)):
@@ -201,9 +202,10 @@ def clipped(vertices: np.ndarray, limits: np.ndarray) -> np.ndarray:
 
 
 def triangles(vertices: np.ndarray) -> np.ndarray:
-    """Return triangles [.., 3, 2] that make up a polygon [V, 2], corners in order to the left.
+    """Return triangles [.., 3, 2] that make up a polygon [V, 2], with corners anticlockwise.
 
-    Ears are cut off one after another: corners that turn left and hold no other vertex.
+    Ears are cut off one after another. An ear is a corner that turns left and whose triangle holds
+    no other vertex.
     """
     doubled = np.sum(_turn(vertices[0], vertices, np.roll(vertices, -1, axis=0)))
     left = list(vertices if doubled > 0 else vertices[::-1])
@@ -217,7 +219,7 @@ def triangles(vertices: np.ndarray) -> np.ndarray:
 
 
 def _is_blocked(corners: list[np.ndarray], k: int) -> bool:
-    """Return whether corner k of a polygon, in order to the left, is no ear."""
+    """Return whether corner k of an anticlockwise polygon is not an ear, see `triangles`."""
     a, b, c = corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
     ends = {(k - 1) % len(corners), k, (k + 1) % len(corners)}
     others = np.array([corner for j, corner in enumerate(corners) if j not in ends])
@@ -226,7 +228,7 @@ def _is_blocked(corners: list[np.ndarray], k: int) -> bool:
 
 
 def cut_off(vertices: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
-    """Return the part of a polygon [V, 2] with normal . point >= offset; [0, 2] where none has."""
+    """Return the part of a polygon [V, 2] with normal . point >= offset; [0, 2] if none has."""
     height = vertices @ normal - offset
     kept = []
     for k in range(len(vertices)):
@@ -248,7 +250,7 @@ def _squares_to_edges(vertices: np.ndarray, x: Any, y: Any) -> Any:
 
 
 def _circle_cuts(start: Any, step: Any, radius: float) -> list[Any]:
-    """Return the two u [...] where start + u * step lies on a circle around 0, or 0 if nowhere."""
+    """Return the two u [...] where start + u * step meets a circle around 0; 0 if it never does."""
     (x, y), (dx, dy) = start, step
     xp = x.__array_namespace__()
     square, dot = dx**2 + dy**2, x * dx + y * dy
@@ -259,7 +261,7 @@ def _circle_cuts(start: Any, step: Any, radius: float) -> list[Any]:
 
 
 def _check_simple(corners: np.ndarray) -> None:
-    """Raise ValueError where two edges meet elsewhere than in a vertex that both share."""
+    """Raise ValueError where two edges meet at a point other than a shared vertex."""
     others = np.roll(corners, -1, axis=0)
     for i in range(len(corners) - 1):
         a, b, c, d = corners[i], others[i], corners[i + 1 :], others[i + 1 :]
@@ -282,7 +284,7 @@ def _folds_back(shared: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return [M] whether the segment from a to b [2] meets those from c to d [M, 2]."""
+    """Return [M] True where the segment from a to b [2] meets a segment from c to d [M, 2]."""
     ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
     sides = [_turn(p, q, r) for p, q, r in ends]
     meet = (sides[0] * sides[1] < 0) & (sides[2] * sides[3] < 0)
@@ -293,7 +295,7 @@ def _meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndar
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return [...] twice the area of triangles a, b, c [..., 2], above 0 where they turn left."""
+    """Return [...] twice the area of triangles a, b, c [..., 2]; above 0 if anticlockwise."""
     (ux, uy), (vx, vy) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
     return ux * vy - uy * vx
 

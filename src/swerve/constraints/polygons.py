@@ -1,4 +1,4 @@
-"""Constraints that are polygons over two of the states.
+"""Define constraints that are polygons over two of the states.
 
     x lies inside    where a ray from x crosses the edges an odd number of times;
 
@@ -26,7 +26,7 @@ from swerve.constraints.shapes import check_no_angles
 class Polygon(Constraint):
     """The states inside a polygon over two of the states; the polygon need not be convex.
 
-    Whether a state exactly on the edge lies inside depends on rounding.
+    A state exactly on the edge may count as inside or outside: rounding decides.
 
     Args:
       vertices: [V, 2] the corners in order, either way round.
@@ -34,8 +34,9 @@ class Polygon(Constraint):
       depth: states inside lie farther than this from every edge, in the states' unit.
 
     Raises:
-      ValueError: if there are fewer than 3 vertices, a vertex is repeated or not finite, all lie on
-        a line, the polygon crosses itself, the depth leaves nothing, or there are not two names.
+      ValueError: if there are fewer than 3 vertices, a vertex is repeated or not finite, all
+        vertices lie on a line, the polygon crosses itself, the depth leaves nothing, or there are
+        not two names.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Polygon(Constraint):
         return {name: (low[k], high[k]) for k, name in enumerate(self.names)}
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where a name is that of no state or of an angle."""
+        """Raise ValueError where a name is not that of a state, or is that of an angle."""
         check_no_angles("Polygon", self.names, space)
 
     def contains(self, states: Any, space: StateSpace) -> Any:
@@ -93,7 +94,8 @@ class Polygon(Constraint):
         """Return [...] True where the segment meets the polygon.
 
         The segment can enter or leave only where it cuts one of the lines and circles on which the
-        edge lies. Between two such cuts the segment is all inside or all outside: its middle tells.
+        edge lies. Between two such cuts the segment is all inside or all outside, so its middle is
+        tried.
         """
         xp = starts.__array_namespace__()
         (x, y), (end_x, end_y) = self._points(starts, space), self._points(ends, space)
@@ -142,26 +144,26 @@ class Polygon(Constraint):
         return first, second
 
     def _is_near(self, x: tuple[Any, Any], y: tuple[Any, Any]) -> Any:
-        """Return [...] whether ranges (least, greatest) of x and y meet the polygon's rectangle."""
+        """Return [...] True where ranges (least, greatest) of x, y meet the polygon's rectangle."""
         (low_x, high_x), (low_y, high_y) = self._limits
         in_x = (x[1] >= low_x) & (x[0] <= high_x)
         return in_x & (y[1] >= low_y) & (y[0] <= high_y)
 
     def _meets(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
-        """Return [...] whether segments have a point inside, both ends included."""
+        """Return [...] True where a segment has a point inside, both ends included."""
         hit = self._holds(x, y) | self._holds(end_x, end_y)
         points = (x, y, end_x, end_y)
         return hit | polygon_geometry.where_near(self._passes, ~hit, points, len(self.vertices))
 
     def _passes(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
-        """Return [...] whether segments have a part inside that need not include an end."""
+        """Return [...] True where a segment has a part inside, which need not include an end."""
         xp = x.__array_namespace__()
         dx, dy = end_x - x, end_y - y
         share = polygon_geometry.cuts(self.vertices, self.depth, (x, y), (dx, dy))
         bounds = xp.zeros_like(x)[None], share, xp.ones_like(x)[None]
         share = xp.concatenate(bounds)
         middle = 0.5 * (share[1:] + share[:-1])
-        is_piece = share[1:] > share[:-1]  # a corner that is only touched has no length
+        is_piece = share[1:] > share[:-1]  # a touched corner is a piece without length
         return (is_piece & self._holds(x + middle * dx, y + middle * dy)).any(axis=0)
 
     def _holds(self, x: Any, y: Any) -> Any:

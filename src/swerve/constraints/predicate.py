@@ -1,4 +1,4 @@
-"""Constraints given by a Python function of states, for sets that no other constraint describes.
+"""Define constraints by a Python function of states, for sets that no other constraint describes.
 
 Shapes: n state dimensions, ... any batch dimensions.
 """
@@ -14,16 +14,17 @@ from swerve.constraints.base import Constraint
 
 
 class Predicate(Constraint):
-    """The states for which a function of yours returns True.
+    """The states for which a function that you write returns True.
 
     Args:
-      name: of the predicate, in tables.
+      name: name of the predicate, in tables.
       function: maps states [..., n] to booleans [...]; written with operators and
         `states.__array_namespace__()` or `jax.numpy`, so that JAX can trace the function too.
-      num_points: how many evenly spaced points of a segment between two states are tried.
+      num_points: number of evenly spaced points that are tried on a segment between two states.
 
     Raises:
-      ValueError: if the name is no text, the function cannot be called, or the number is below 1.
+      ValueError: if the name is not a text, the function cannot be called, or `num_points` is below
+        1.
     """
 
     needs_code = True

@@ -1,9 +1,9 @@
-"""Constraints that are balls and half-spaces.
+"""Define constraints that are balls and half-spaces.
 
     ball         |x - c| < r                 (angles by the shorter arc)
     half-space   sum_i n_i x_i >= offset
 
-Each constraint names some of the states; states without a name are free.
+Each constraint names some of the states; the states that it does not name are free.
 
 Shapes: n state dimensions, ... any batch dimensions.
 """
@@ -28,15 +28,16 @@ from swerve.constraints.boxes import call, short
 class Ball(Constraint):
     """The states nearer to a centre than a radius: an open Euclidean ball.
 
-    The distance is over the states that the centre names, in their own units, angles by the shorter
-    arc.
+    The distance is over the states that the centre names, in their own units, with angles by the
+    shorter arc.
 
     Args:
       radius: in the unit of the states.
-      **centre: the place of the centre along each named state.
+      **centre: coordinate of the centre along each named state.
 
     Raises:
-      ValueError: if the radius is not above 0, or the centre names no state or is not finite.
+      ValueError: if the radius is not above 0, the centre names no state, or a coordinate is not
+        finite.
     """
 
     def __init__(self, radius: float, /, **centre: float) -> None:
@@ -64,7 +65,7 @@ class Ball(Constraint):
         return {name: (x - self.radius, x + self.radius) for name, x in self.centre.items()}
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where a name is that of no state."""
+        """Raise ValueError where a name is not that of a state."""
         for name in self.centre:
             space.column(name)
 
@@ -74,7 +75,7 @@ class Ball(Constraint):
         return square < self.radius**2
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where the segment's nearest point lies in the ball or an image of it.
+        """Return [...] True where the segment's nearest point lies in the ball or in its image.
 
         The images of the ball are its copies one turn away along each angle.
         """
@@ -99,7 +100,7 @@ class Ball(Constraint):
         return np.maximum(0.0, to_centre - self.radius)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Ball:
-        """Return the ball with its radius less by the largest margin of the named states.
+        """Return the ball with the largest margin of the named states taken off its radius.
 
         A ball that names angles alone and reaches round all of them has no edge: it stays the same.
         """
@@ -141,7 +142,7 @@ class HalfSpace(Constraint):
         leaves its state free, as if the state were not named.
 
     Raises:
-      ValueError: if no state is named, the normal is zero, or a number is not finite.
+      ValueError: if the normal names no state or is zero, or a number is not finite.
     """
 
     def __init__(self, offset: float, /, **normal: float) -> None:
@@ -175,7 +176,7 @@ class HalfSpace(Constraint):
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """All numbers; from or up to the edge where only one state is named."""
+        """All numbers; where only one state is named, the numbers on the forbidden side."""
         if len(self.normal) > 1:
             return dict.fromkeys(self.normal, (-math.inf, math.inf))
         ((name, factor),) = self.normal.items()
@@ -183,7 +184,7 @@ class HalfSpace(Constraint):
         return {name: (limit, math.inf) if factor > 0 else (-math.inf, limit)}
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where a name is that of no state or of an angle."""
+        """Raise ValueError where a name is not that of a state, or is that of an angle."""
         check_no_angles("HalfSpace", self.normal, space)
 
     def contains(self, states: Any, space: StateSpace) -> Any:
@@ -191,7 +192,7 @@ class HalfSpace(Constraint):
         return self._sum(states, space) >= self.offset
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where an end of the segment lies inside: the sum is largest there."""
+        """Return [...] True where an end of the segment is inside: the sum is largest at an end."""
         return self.contains(starts, space) | self.contains(ends, space)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
@@ -200,7 +201,7 @@ class HalfSpace(Constraint):
         return np.maximum(0.0, missing) / math.hypot(*self.normal.values())
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> HalfSpace:
-        """Return the half-space offset by the sum of |n_i| times the margins."""
+        """Return the half-space with an offset larger by the sum of |n_i| times the margins."""
         widths = (abs(factor) * margin.get(name, 0.0) for name, factor in self.normal.items())
         return HalfSpace(self.offset + sum(widths), **self.normal)
 
@@ -225,7 +226,7 @@ def _checked_axes(kind: str, expected: str, values: Mapping[str, float]) -> dict
 
 
 def check_no_angles(kind: str, names: Iterable[str], space: StateSpace) -> None:
-    """Raise ValueError where a name is that of no state or of an angle."""
+    """Raise ValueError where a name is not that of a state, or is that of an angle."""
     for name in names:
         space.column(name)
         if name in space.angles:

@@ -1,8 +1,8 @@
-"""Constraints that forbid actions in some states alone, such as fast driving in a narrow place.
+"""Define constraints that forbid actions in some states, such as fast driving in a narrow place.
 
-    (s_t, a_t) lies in c    where s_t lies in the states and a_t in the actions,
+    (s_t, a_t) lies in c    where s_t lies in the states and a_t in the actions;
 
-s_t being the state in which the action begins, wherever the action leads.
+s_t is the state in which the action begins; where the action leads does not matter.
 
 Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 """
@@ -20,14 +20,14 @@ from swerve.constraints.boxes import ActionBox
 
 
 class StateAction(Constraint):
-    """Some actions, forbidden in some states; the states alone and the actions elsewhere are not.
+    """Some actions, forbidden in some states: other actions there, and these elsewhere, are not.
 
     Args:
       states: the states in which the actions are forbidden.
       actions: the actions that are forbidden there.
 
     Raises:
-      ValueError: if `states` is no constraint on states alone, or `actions` is no ActionBox.
+      ValueError: if `states` is not a constraint on states alone, or `actions` is not an ActionBox.
     """
 
     about_actions = True
@@ -54,11 +54,11 @@ class StateAction(Constraint):
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """The spans of its states."""
+        """The spans of the constraint on states."""
         return self.states.spans
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where its states or its actions do not fit."""
+        """Raise ValueError where the states or the actions do not fit."""
         self.states.check(space, action_names)
         self.actions.check(space, action_names)
 
@@ -79,7 +79,7 @@ class StateAction(Constraint):
         return self.states.distance(states, space)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> StateAction:
-        """Return the same actions, forbidden in its states less the margin."""
+        """Return the same actions, forbidden in the states less the margin."""
         return StateAction(self.states.eroded(margin, space), self.actions)
 
     def to_json(self) -> dict[str, Any]:

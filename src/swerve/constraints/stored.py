@@ -1,6 +1,7 @@
-"""Rebuild constraints from the data that they are stored as: the inverse of `Constraint.to_json`.
+"""Rebuild constraints from their stored data: the inverse of `Constraint.to_json`.
 
-Kinds other than boxes are imported where one is met: a stored grid is read sooner without them.
+The modules of other kinds than boxes are imported only when needed: a stored grid is read sooner
+without them.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def constraint_from_json(data: dict[str, Any]) -> Constraint:
 
 
 def _intervals(data: dict[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return the intervals of a box; a side that is None is open."""
+    """Return the intervals of a box; a stored side of None is open."""
     return {
         name: (-math.inf if low is None else low, math.inf if high is None else high)
         for name, (low, high) in data["intervals"].items()
