@@ -68,6 +68,16 @@ def test_tables_of_packages_are_those_of_the_import_rule(page: str) -> None:
         assert with_jax == [room for room in WITH_JAX if room.partition(".")[0] == name]
 
 
+def test_what_architecture_points_at_is_there() -> None:
+    section = (DOCS / "architecture.md").read_text().partition("## Where to find what")[2]
+    rows = re.findall(r"`(\w+/[\w/]+\.py)`, `([\w.]+)`", section.partition("\n## ")[0])
+    assert len(rows) > 10
+    for path, name in rows:
+        text = (ROOT / "src" / "swerve" / path).read_text()
+        for part in name.split("."):
+            assert re.search(rf"^ *(def |class )?{part}\b", text, re.MULTILINE), f"{path}: {part}"
+
+
 def test_every_public_name_is_in_the_reference_once() -> None:
     pages = "".join(page.read_text() for page in REFERENCE)
     assert sorted(re.findall(r"^::: swerve\.(.*)$", pages, re.MULTILINE)) == sorted(swerve.__all__)

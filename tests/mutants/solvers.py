@@ -8,8 +8,8 @@ MUTANTS = (
     Mutant(
         "drop the entropy term: PPO's reward leaves the action's log-probability out",
         "solvers/trained/ppo.py",
-        "reward = earned - segment.log_probability - log_measure(self.problem)",
-        "reward = earned - log_measure(self.problem)",
+        "return earned - segment.log_probability - log_measure(self.problem)",
+        "return earned - log_measure(self.problem)",
         "solvers/trained/test_ppo -k entropy",
     ),
     Mutant(

@@ -1,9 +1,11 @@
 """Say how far the samples of each task can be trusted: warnings, and one verdict a task.
 
-The effective sample size may be too small; independent parts of the samples may disagree on log
-Z_0; the policy may be far from pi_0; the solver's own log Z_0 may differ from that of its samples.
-Otherwise the order of the first hypotheses may rest on sampling error. If the error allowed for a
-difference of scores is shared evenly among the K tasks in use, task k needs
+Samples are "not to be trusted" where the effective sample size is below max(100, 2 % of N) (see
+`estimators.least_effective`), or where independent parts of the samples differ in log Z_0 by more
+than HIGH_SPREAD. "Errors may be larger than stated" where the policy is far from pi_0, or where the
+solver's own log Z_0 differs from that of its samples. Otherwise the order of the first hypotheses
+may rest on sampling error. If the error allowed for a difference of scores is shared evenly among
+the K tasks in use, task k needs
 
     N_k = N K (n_k e_k / gap)^2
 

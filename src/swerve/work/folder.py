@@ -3,15 +3,18 @@
     problem.json                                   the record: the problem as data, hashes of the
                                                    source files that made it, the settings used last
     <solver>.seed<S>.nominal                       what the solver learned
-    <solver>.seed<S>.<method>.<N>.evidence         what its N trajectories a task tell
+    <solver>.seed<S>.<method>.<N>.evidence         what N trajectories per task tell
     <solver>.seed<S>.<method>.<N>.foresight        what a monitor needs besides
     <solver>.seed<S>.checkpoint                    training that has not finished
     <solver>.seed<S>.training.png                  a picture of how training went
     outdated/                                      all these files as they were before the problem
                                                    changed
 
-A file is named after all settings that its contents depend on, so that other settings make another
-file. Several processes may work in one folder.
+A file is named after all settings that its contents depend on (`WorkFolder.result_path`), so that
+other settings make another file. <solver> is percent-encoded: evidence by the solver
+"grid?num_points=40" is in grid%3Fnum_points=40.seed0.smc.10000.evidence.
+
+Several processes may work in one folder.
 """
 
 from __future__ import annotations
@@ -77,7 +80,7 @@ class WorkFolder:
     path: Path
     problem_text: str
 
-    def result(self, suffix: str, settings: Settings, method: str | None = None) -> Path:
+    def result_path(self, suffix: str, settings: Settings, method: str | None = None) -> Path:
         """Return the file of a result.
 
         Args:
@@ -114,7 +117,7 @@ class WorkFolder:
           store.StoreError: if the file is cut short or altered, or its evidence is of another
             version of the problem.
         """
-        path = self.result("evidence", settings, method)
+        path = self.result_path("evidence", settings, method)
         if not path.exists():
             return None
         evidence = Evidence.load(path)
@@ -135,7 +138,7 @@ class WorkFolder:
             if stored is not None:
                 rows = missing_rows(evidence, stored.tasks)
                 evidence = evidence.joined(stored.select(rows)) if rows else evidence
-            evidence.save(self.result("evidence", settings))
+            evidence.save(self.result_path("evidence", settings))
 
     def read(self) -> Reading:
         """Read the record and compare it with the problem's text and with its source files.

@@ -94,8 +94,10 @@ class Work:
         return None if self.record.goal_is_last_state else self.problem.mdp.goal_of
 
     def path(self, suffix: str, method: str | None = None) -> Path | None:
-        """Return the file of a result, or None without a folder; see `WorkFolder.result`."""
-        return None if self._folder is None else self._folder.result(suffix, self.settings, method)
+        """Return the file of a result, or None without a folder; see `WorkFolder.result_path`."""
+        if self._folder is None:
+            return None
+        return self._folder.result_path(suffix, self.settings, method)
 
     def evidence(self, tasks: Task | None) -> Evidence:
         """Return evidence for tasks, learning and sampling only what the folder does not hold.

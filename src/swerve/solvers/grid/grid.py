@@ -1,5 +1,7 @@
 """Soft dynamic programming on a grid of states: pi_0 without learning, for n <= 3.
 
+(For the grid of hypothesised cells see `hypotheses.grid`.)
+
     V_t(s) = log mean_a exp(beta r(s, a, s') + V_{t+1}(s'))    (sum for the counting measure)
 
 at the nodes, V interpolated between them, V = beta r_T exactly where an episode has ended. The

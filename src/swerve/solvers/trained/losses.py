@@ -1,7 +1,7 @@
 """Compute advantages and losses of maximum-entropy policy gradients, as pure functions.
 
-Rewards here are soft: they contain the log-probability of the executed action (the paper, eq. 6),
-in nats,
+Rewards are soft: they contain the log-probability of the executed action (the paper, eq. 6).
+`ppo.PPOTrainer.soft_rewards` forms them, in nats,
 
     r~_t = beta r_t - log pi(a_t | s_t, t)  (- log A for the uniform measure),
 

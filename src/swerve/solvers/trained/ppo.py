@@ -1,7 +1,8 @@
 """Maximum-entropy proximal policy optimisation: one goal-conditioned policy for all tasks.
 
 This is how the paper reaches pi_0: maximise its eq. 6, in which the log-probability of the executed
-action is part of the return at weight 1 / beta; here everything is multiplied by beta, in nats.
+action is part of the return at weight 1 / beta; here everything is multiplied by beta, in nats
+(`PPOTrainer.soft_rewards`).
 
 Every lane continues its own episode from segment to segment and starts anew when the episode ends.
 An iteration rolls out one segment in all lanes and takes a few epochs of gradient steps on it.
@@ -184,13 +185,19 @@ class PPOTrainer(Trainer):
         now = jnp.moveaxis(now, 0, -1).reshape(settings.segment, -1)
         last = values(over_lanes(self.problem.mdp.features, -1, -1, -1)(*lanes))
         later = jnp.where(segment.ended, 0.0, jnp.concatenate([now[1:], last[None]]))
-        forbidden = jnp.isneginf(segment.reward)
-        earned = jnp.where(forbidden, -KNOWN_PENALTY, self.problem.beta * segment.reward)
-        reward = earned - segment.log_probability - log_measure(self.problem)
-        residual = reward + later - now
+        residual = self.soft_rewards(segment) + later - now
         advantage = losses.discounted(residual, segment.ended, settings.gae_lambda)
         columns = (segment.action, log_probabilities, advantage, now, advantage + now)
         return Batch(features, *map(group, columns)), residual
+
+    def soft_rewards(self, segment: Segment) -> Float[Array, "L N"]:
+        """Return beta r - log pi of each step (the paper, eq. 6, times beta), nats.
+
+        The log of the base measure is added: -log A for the uniform measure.
+        """
+        forbidden = jnp.isneginf(segment.reward)
+        earned = jnp.where(forbidden, -KNOWN_PENALTY, self.problem.beta * segment.reward)
+        return earned - segment.log_probability - log_measure(self.problem)
 
     def update(self, carry: tuple, batch: Batch) -> tuple[tuple, None]:
         """Take one optimiser step of the policy and of the value on a minibatch."""
