@@ -1,1 +1,1 @@
-"""Demonstrations: recorded data, read from files and checked before anything is computed."""
+"""Read recorded demonstrations from files, and check them before anything is computed."""

@@ -1,11 +1,11 @@
-"""Demonstrations checked together: the states of a batch in one array.
+"""Check demonstrations together, with the states of a batch in one array.
 
     states[d, i] = s_min(i, L_d - 1) of demonstration d,
 
-so that each demonstration rests in its last state until the longest one ends. Resting enters
-nothing new.
+so that each demonstration rests in its last state until the longest demonstration ends. A resting
+demonstration enters no further constraint.
 
-Shapes: D demonstrations, L states of the longest, n state dimensions.
+Shapes: D demonstrations, L states of the longest demonstration, n state dimensions.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from swerve.demonstrations.demonstration import Demonstration
 
 
 def checked_states(demonstrations: Sequence[Demonstration], space: StateSpace) -> np.ndarray:
-    """Return the states [D, L, n] of demonstrations after checking them; each rests at its end.
+    """Return the states [D, L, n] of checked demonstrations; each rests in its last state.
 
-    All are checked together, which is quick; one by one only to name the demonstration at fault.
+    All demonstrations are checked together, which is quick. Only if that check fails are they
+    checked one by one, to name the demonstration at fault.
 
     Raises:
-      ValueError: as `check_states` and `check_start`.
+      ValueError: as from `check_states` and `check_start`.
     """
     for item in demonstrations:
         check_path(item.states, item.times, space, item.name)
@@ -47,7 +48,7 @@ def checked_states(demonstrations: Sequence[Demonstration], space: StateSpace) -
 
 
 def rested(states: np.ndarray, num: int) -> np.ndarray:
-    """Return `num` states: the given ones [L, n], then the last of them again and again."""
+    """Return `num` states: the given states [L, n], then the last of them again and again."""
     if len(states) == num:
         return states
     return states[np.minimum(np.arange(num), len(states) - 1)]

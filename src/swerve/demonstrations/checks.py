@@ -1,6 +1,7 @@
-"""Checks of recorded states and of tasks, before anything is computed from them.
+"""Check recorded states and tasks before anything is computed from them.
 
-Every message says where (file, row, column), what was expected, what was found, and what to do.
+Every message says where the error is (file, row, column), what was expected, what was found, and
+what to do.
 
 Shapes: L samples, n state dimensions, g goal dimensions.
 """
@@ -16,16 +17,16 @@ from swerve.base.space import MAX_HALF_EXTENTS, MAX_TURNS, TWO_PI, StateSpace, T
 
 START_TOLERANCE = 1e-3
 """Largest distance of a first state from the start of its task, and of a start or a goal from the
-bounds, in extents of the state space: rounding in files explains no more."""
+bounds, in extents of the state space: rounding in files explains distances up to this one."""
 
-LATTICE_TOLERANCE = 1e-3  # of a whole number: a number so near is that whole number, rounded
-MAX_ARC = 0.45 * TWO_PI  # rad between two states of an angle: nearer to pi the direction is unclear
+LATTICE_TOLERANCE = 1e-3  # distance to a whole number: numbers this near are rounded whole numbers
+MAX_ARC = 0.45 * TWO_PI  # rad, change of an angle in a step: nearer to pi the direction is unclear
 
-# Limits beyond which a recorded state or demonstration is odd, next to nominal trajectories of its
-# task. Nothing is refused for them: `trust.doubts` warns, and a monitor flags the state.
-FAST = 3.0  # times the fastest nominal change of a state: faster is a glitch or another unit
-JITTER = 0.01  # of the extent: two measurements of the same state may differ by so much
-TIME_SLACK = 0.1  # of the duration: demonstrators may be that much quicker or slower
+# Limits beyond which a recorded state or demonstration is odd beside nominal trajectories of its
+# task. Odd data are not refused: `trust.doubts` warns, and a monitor flags the state.
+FAST = 3.0  # times the fastest nominal change of a state: more is a glitch or a wrong unit
+JITTER = 0.01  # share of the extent: two measurements of the same state may differ by so much
+TIME_SLACK = 0.1  # share of the duration: demonstrators may be so much quicker or slower
 COARSE = 1.5  # model steps between two states: with wider gaps, lines between them cut corners
 
 RowNamer = Callable[[int], str]
@@ -50,9 +51,9 @@ def check_states(
 
     Raises:
       ValueError: if there are fewer than 2 states, a number is NaN or infinite, the times do not
-        strictly increase, a state is so far out that its unit must be wrong (more than
-        MAX_HALF_EXTENTS half extents from the middle of the bounds, MAX_TURNS turns for an
-        angle), a state on a lattice is no whole number, or an angle changes by more than MAX_ARC
+        strictly increase, a state is so far outside the bounds that its unit must be wrong (more
+        than MAX_HALF_EXTENTS half extents from the middle of the bounds, MAX_TURNS turns for an
+        angle), a state on a lattice is not a whole number, or an angle changes by more than MAX_ARC
         [rad] between two states.
     """
     check_path(states, times, space, where, line_of=line_of)
@@ -73,7 +74,7 @@ def check_path(
     *,
     line_of: Callable[[int], int] | None = None,
 ) -> None:
-    """Check the number of states and of their components, and the times; as `check_states`."""
+    """Check the number of states, the number of their components, and the times."""
     states = shaped(states, (None, len(space.names)), "states", where)
     if len(states) < 2:
         raise ValueError(f"{where}: expected at least 2 states, got {len(states)}")
@@ -82,7 +83,7 @@ def check_path(
 
 
 def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
-    """Return whether paths of states [..., L, n] pass the checks of single states and of arcs."""
+    """Return whether all paths of states [..., L, n] pass the checks of single states and arcs."""
     low, high = space.believable
     if not ((states >= low) & (states <= high)).all():  # NaN fails both
         return False
@@ -92,10 +93,10 @@ def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
 
 
 def shaped(value: object, shape: Sequence[int | None], what: str, where: str) -> np.ndarray:
-    """Return a value as float64 after checking its shape, in which None stands for any length.
+    """Return a value as float64 after checking its shape; None in `shape` stands for any length.
 
     Raises:
-      ValueError: if the shape is another; `what` and `where` are for the message.
+      ValueError: if the value has another shape; `what` and `where` are for the message.
     """
     array = np.asarray(value, dtype=float)
     fits = len(shape) == array.ndim and all(
@@ -228,9 +229,9 @@ def check_transitions(
 
     Args:
       states: [L, n].
-      actions: [L-1, m] or more, the recorded action of each step, which must make it; None where
-        no actions are recorded: then any action may make the step.
-      transitions: of the MDP.
+      actions: [L-1, m] or more rows, the recorded action of each step, which must make that step.
+        None where no actions are recorded: then any action may make the step.
+      transitions: transitions of the MDP.
       where: the demonstration, for messages.
     """
     fits, rests = transitions.fits(states), transitions.rests(states)

@@ -45,10 +45,10 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _parse_fast(text: str, indices: list[int]) -> np.ndarray | None:
-    """Return the columns as numbers, or None where each cell must be read on its own."""
+    """Return the columns as numbers; None if the cells must be read one by one."""
     header, *rows = text.rstrip().split("\n")
     if '"' in text or {row.count(",") for row in rows} != {header.count(",")}:
-        return None  # quoted, ragged or empty
+        return None  # cells are quoted or empty, or rows differ in length
     try:
         return np.loadtxt(rows, delimiter=",", usecols=indices, comments=None, ndmin=2)
     except ValueError:
@@ -63,7 +63,7 @@ def _parse_cells(
     label: str | None,
     optional: Sequence[str],
 ) -> tuple[np.ndarray, list[str]]:
-    """Return numbers and labels; raise ValueError naming the first cell that is no number.
+    """Return numbers and labels; raise ValueError naming the first cell that is not a number.
 
     In the last row optional columns may be blank: no action follows the last state.
     """

@@ -1,12 +1,12 @@
-"""Demonstrations: what they are, and how files of them are read and written.
+"""Define demonstrations, and read and write files of them.
 
-A demonstration holds the states that somebody went through, and the task that they were given:
+A demonstration holds the states that a demonstrator went through, and the demonstrator's task:
 
     xi = s_0, ..., s_{L-1},   s_0 = task.start,   |difference(s_i, s_{i+1})| <= 0.9 pi for angles.
 
-The states may be recorded at any rate, unevenly too. Angles may be wrapped or not, as long as each
-angle takes its shorter arc between two states. Files are read with NumPy; polars is imported for
-Parquet alone.
+The states may be recorded at any rate, even an uneven rate. Angles may be wrapped or not, as long
+as each angle takes its shorter arc between two states. Files are read with NumPy; polars is
+imported for Parquet alone.
 
 Shapes: L samples, n state dimensions, m action dimensions, g goal dimensions, N tasks.
 """
@@ -34,19 +34,19 @@ from swerve.demonstrations.checks import (
 from swerve.demonstrations.csv_format import csv_text
 from swerve.demonstrations.formats import read_table
 
-MAX_ERRORS = 10  # unusable files that one error message names: more would hide the others
+MAX_ERRORS = 10  # unusable files named in one error message: a longer list would not be read
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """States that somebody went through, and the task that they were given.
+    """The states that a demonstrator went through, and the demonstrator's task.
 
     Attributes:
-      name: of the demonstration in results; the file name without its suffix.
+      name: name of the demonstration in results; the file name without its suffix.
       states: [L, n] states, float64; angles wrapped or not [rad].
-      task: its start [n] and goal [g].
+      task: start [n] and goal [g].
       times: [L] time of each state [s], where known.
-      actions: [L-1, m] actions between the states; or [L, m], of which the last is not used.
+      actions: [L-1, m] actions between the states; or [L, m], where the last action is not used.
     """
 
     name: str
@@ -93,19 +93,19 @@ def read_demonstrations(
       space: names, angles and bounds of the states.
       tasks: file with the start and goal of each demonstration, see `read_tasks`. The row of
         demo_7.csv has `demo_7` or `7` in its `demo` column.
-      goal_names: the components of a goal; the states unless given.
+      goal_names: names of a goal's components; the names of the states unless given.
       action_names: the columns that hold actions.
-      goal_of: maps states [L, n] to the goal [g] where there is no tasks file; the last state
-        unless given.
+      goal_of: where there is no tasks file, maps states [L, n] to the goal [g]; by default the goal
+        is the last state.
 
     Returns:
       One demonstration for each path, in the order of the paths.
 
     Raises:
       OSError: if a file does not exist or cannot be opened.
-      ValueError: if a file cannot be understood, its states fail `check_states`, its task is not
-        known, lies outside the state space or starts elsewhere, or a path is given twice or is
-        that of the tasks.
+      ValueError: if a file cannot be understood; if its states fail `check_states`; if its task is
+        not known, lies outside the state space or starts in another state; or if a path is given
+        twice or is the tasks file.
     """
     files = _distinct_files(paths, tasks)
     goal_names = space.names if goal_names is None else tuple(goal_names)
@@ -126,7 +126,7 @@ def read_demonstrations(
 
 
 def _distinct_files(paths: AnyPath | Iterable[AnyPath], tasks: AnyPath | None) -> list[Path]:
-    """Return the paths as a list after checking that each is given once, none as the tasks too."""
+    """Return the paths as a list; raise ValueError if one is given twice or is the tasks file."""
     files = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
     for file, count in Counter(path.resolve() for path in files).items():
         if count > 1:
@@ -139,7 +139,7 @@ def _distinct_files(paths: AnyPath | Iterable[AnyPath], tasks: AnyPath | None) -
 
 
 def _read_all(files: list[Path], read: Callable[[Path], Demonstration]) -> list[Demonstration]:
-    """Read all files; raise ValueError with the errors of all unusable files together."""
+    """Read all files; raise one ValueError with the errors of all unusable files."""
     demonstrations, errors = [], []
     for path in files:
         try:
@@ -168,10 +168,10 @@ def read_tasks(
     Args:
       path: CSV or Parquet file.
       space: names, angles and bounds of the states.
-      goal_names: the components of a goal; the states unless given.
+      goal_names: names of a goal's components; the names of the states unless given.
 
     Returns:
-      The tasks by the text in their `demo` column, in the order of the file.
+      The tasks by the texts in the `demo` column, in the order of the file.
 
     Raises:
       OSError: if the file does not exist or cannot be opened.
@@ -200,18 +200,18 @@ def write_demonstrations(
     action_names: Sequence[str] = (),
     goal_names: Sequence[str] | None = None,
 ) -> list[Path]:
-    """Write each demonstration to <name>.csv and their tasks to tasks.csv.
+    """Write each demonstration to <name>.csv, and all tasks to tasks.csv.
 
-    Numbers have 9 significant digits, times all digits: with 9 digits, seconds since 1970 would not
-    increase. Where there is one action fewer than states, the last row has action 0. A file appears
-    complete or not at all.
+    Numbers have 9 significant digits, and times have all digits: with 9 digits, seconds since 1970
+    would not increase. Where there is one action fewer than states, the last row has action 0. A
+    file is written complete or not at all.
 
     Args:
       directory: folder of the files; created if need be.
-      demonstrations: each with a name of its own.
+      demonstrations: demonstrations with different names.
       space: names, angles and bounds of the states.
       action_names: the columns of the actions; without names no actions are written.
-      goal_names: the components of a goal; the states unless given.
+      goal_names: names of a goal's components; the names of the states unless given.
 
     Returns:
       The path of each demonstration.
@@ -219,7 +219,8 @@ def write_demonstrations(
     Raises:
       FileExistsError: if one of the files exists already; then nothing is written.
       ValueError: if a demonstration could not be read back: its states fail `check_states`, its
-        task does not fit, its actions are missing, or its name is no file name or used twice.
+        task does not fit, its actions are missing, or its name cannot be a file name or is used
+        twice.
     """
     goal_names = space.names if goal_names is None else tuple(goal_names)
     tasks, *paths = new_files(directory, [item.name for item in demonstrations])
@@ -237,7 +238,7 @@ def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
 
     Raises:
       FileExistsError: if one of the files exists already.
-      ValueError: if a name is no file name, or two names would be the same in tasks.csv.
+      ValueError: if a name cannot be a file name, or two names would be the same in tasks.csv.
     """
     cells = Counter(_cell(name) for name in names)
     for name in names:

@@ -1,4 +1,4 @@
-"""Choose the reader of a file by its suffix: one line a file format.
+"""Choose the reader of a file by its suffix, from a table with one line per file format.
 
 A new format is one file beside this one, with a function like `csv_format.read_csv`, and one line
 of READERS.
@@ -22,14 +22,14 @@ def read_table(
     """Read columns of numbers, and one column of text, from a file of any format in READERS.
 
     Args:
-      path: the file; its suffix is that of the format.
+      path: the file; its suffix tells the format.
       required: columns of numbers that must be there.
       optional: columns of numbers that may be there.
       label: a column of text that must be there, or None.
 
     Raises:
       ValueError: naming the file, row and column at fault.
-      OSError: if there is no such file.
+      OSError: if the file does not exist.
     """
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder; name the files in it: {path}/*.csv")

@@ -12,7 +12,7 @@ def read_parquet(
     path: Path, required: Sequence[str], optional: Sequence[str], label: str | None
 ) -> Table:
     """Read columns of a Parquet file; see `formats.read_table`."""
-    import polars as pl  # takes longer to load than everything else together
+    import polars as pl  # takes longer to load than all other modules together
 
     try:
         schema = pl.read_parquet_schema(path)

@@ -18,9 +18,9 @@ class Table(NamedTuple):
     """Some columns of a file.
 
     Attributes:
-      names: of the columns of numbers, as far as the file has them.
-      values: [rows, len(names)].
-      labels: the column of text; empty where none is wanted.
+      names: names of the columns of numbers that the file has.
+      values: [rows, len(names)] the numbers.
+      labels: the column of text; empty where no such column was asked for.
       line_of: maps a row, counted from 0, to its line in the file; None for Parquet.
     """
 
@@ -30,7 +30,7 @@ class Table(NamedTuple):
     line_of: Callable[[int], int] | None
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
-        """Return the columns of some names [rows, len(names)]."""
+        """Return the columns [rows, len(names)] with these names."""
         return np.ascontiguousarray(self.values[:, [self.names.index(name) for name in names]])
 
 

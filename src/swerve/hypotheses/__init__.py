@@ -1,1 +1,1 @@
-"""Hypotheses: suspected constraints, judged in bulk and step by step, as packed bits."""
+"""Define hypotheses, the suspected constraints, and judge which ones trajectories enter."""

@@ -1,4 +1,4 @@
-"""Sets of hypotheses, and which of them each of a batch of trajectories enters.
+"""Define sets of hypotheses, and judge which hypotheses each trajectory of a batch enters.
 
 The answer for N trajectories and H hypotheses is one bit per pair, packed as `bits` says.
 
@@ -80,22 +80,24 @@ class HypothesisSet(ABC):
         """Return the distance [..., H] from states [..., n] to each hypothesis.
 
         Raises:
-          ValueError: if a hypothesis has no shape to tell distances to, see `Constraint.distance`.
+          ValueError: if a hypothesis has no shape to measure distances to, see
+            `Constraint.distance`.
         """
         states = np.asarray(states, float)
         each = [self.constraint(index).distance(states, space) for index in range(len(self))]
         return np.stack(each, axis=-1)
 
     def eroded(self, margin: Mapping[str, float], space: StateSpace) -> HypothesisSet:
-        """Return the same hypotheses, each less a margin for measurement noise.
+        """Return the same hypotheses, each made smaller by a margin for measurement noise.
 
         Args:
-          margin: for some states, how deep inside, in the state's unit.
+          margin: for some states, by name, how deep inside a hypothesis a state must lie, in the
+            state's unit.
           space: names, angles and bounds of the states.
 
         Raises:
-          ValueError: if a margin is negative or no number, is that of no state, or leaves nothing
-            of a hypothesis.
+          ValueError: if a margin is negative or not a number, names no state, or leaves nothing of
+            a hypothesis.
         """
         each = (self.constraint(index).eroded(margin, space) for index in range(len(self)))
         return ConstraintHypotheses(each)
@@ -119,7 +121,7 @@ class ConstraintHypotheses(HypothesisSet):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The states that the constraints name, in order of first mention."""
+        """The states that the constraints name, in the order in which they first appear."""
         return tuple(dict.fromkeys(name for c in self.constraints for name in c.spans))
 
     @property

@@ -1,10 +1,11 @@
-"""Hypotheses that are the cells of a regular grid; the cost of judging does not grow with H.
+"""Judge hypotheses that are the cells of a regular grid, at a cost that does not grow with H.
 
-The cell of a state is index arithmetic,
+The cell of a state follows by index arithmetic,
 
     cell_d = floor((x_d - low_d) / width_d),
 
-and a segment enters a cell wherever it crosses a grid line. The result is packed as in `bits`.
+and a segment enters a cell wherever the segment crosses a grid line. Results are packed as in
+`bits`.
 
 Shapes: N trajectories, T steps, n state dimensions, d grid dimensions, H hypotheses.
 """
@@ -25,7 +26,7 @@ from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.bits import no_bits, set_pairs
 from swerve.hypotheses.grid_axis import GridAxis
 
-BLOCK = 1 << 16  # states judged at once: intermediate results fit the cache
+BLOCK = 1 << 16  # states judged at once, so that intermediate results fit the cache
 
 
 class BoxHypotheses(HypothesisSet):
@@ -36,7 +37,7 @@ class BoxHypotheses(HypothesisSet):
 
     @abstractmethod
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return for each axis the low and the high ends of its boxes."""
+        """Return for each axis the low ends and the high ends of its boxes."""
 
     def __len__(self) -> int:
         return math.prod(self.shape)
@@ -82,7 +83,7 @@ class GridHypotheses(BoxHypotheses):
         self.shape = tuple(cells for _, _, cells in self.axes.values())
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where an axis names no state, or the axis of an angle exceeds a turn."""
+        """Raise ValueError where an axis names no state, or an axis of an angle exceeds a turn."""
         self._bounding_box().check(space, action_names)
 
     def _bounding_box(self) -> Box:
@@ -133,7 +134,7 @@ class GridHypotheses(BoxHypotheses):
             _set_cells(bits, trajectory[segment], cell)
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return for each axis the low and the high ends of its cells."""
+        """Return for each axis the low ends and the high ends of its cells."""
         ends = {}
         for name, (low, high, count) in self.axes.items():
             lines = low + np.arange(count + 1) * ((high - low) / count)
@@ -168,10 +169,10 @@ def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
 
 
 def checked_range(kind: str, name: str, axis: Any, third: str) -> tuple[float, float, float]:
-    """Return (low, high) of an axis after checking both, and a third number, NaN if no number.
+    """Return low and high of an axis after checking both, and a third number, NaN if it is none.
 
     Raises:
-      ValueError: if there are not three numbers, or low and high are not finite and in order.
+      ValueError: if `axis` has not three items, or low and high are not finite with low < high.
     """
     given = numbers(axis, 3)
     if given is None:
@@ -193,12 +194,12 @@ def _crossed_cells(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (segment, cell) for the cells between the two ends of each segment.
 
-    Wherever a segment crosses a grid line it enters a cell. The line tells the index of the cell
-    along one axis, the position on the line its indices along the others. Segments that cross fewer
-    than two lines have no cell between their ends.
+    Wherever a segment crosses a grid line, the segment enters a cell. The line gives the cell's
+    index along one axis. The position on the line gives the cell's indices along the other axes.
+    Segments that cross fewer than two lines have no cell between their ends.
 
     Args:
-      axes: of the grid.
+      axes: axes of the grid.
       starts: [S, n] where segments begin.
       steps: [S, n] from the starts to the ends of segments.
       spans: for each axis the extended indices [S] of starts and of ends.
@@ -226,7 +227,7 @@ def _crossed_cells(
 
 
 def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:
-    """Return the cell numbers of extended indices, one array an axis, or -1 outside the grid."""
+    """Return the cell numbers of extended indices, one array for each axis; -1 outside the grid."""
     cell, inside = np.zeros(indices[0].shape, np.int64), np.True_
     for axis, index in zip(axes, indices, strict=True):
         along = axis.cell(index)
@@ -236,7 +237,7 @@ def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:
 
 
 def _set_cells(bits: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> None:
-    """Set the bit of cells[k] in row rows[k], except where the cell is -1, outside the grid."""
+    """Set the bit of cells[k] in row rows[k], except where cells[k] is -1, outside the grid."""
     inside = cells >= 0
     set_pairs(bits, rows[inside], cells[inside])
 

@@ -1,9 +1,9 @@
-"""One axis of a regular grid of cells: index arithmetic, also where an angle wraps.
+"""Number the cells along one axis of a regular grid, also where an angle wraps.
 
     index = floor((x - low) / width)
 
-Indices go on beyond the ends of the grid, so that the difference of two indices counts the lines
-between them.
+Indices go on beyond the ends of the grid, so that the difference of two indices is the number of
+lines between them.
 
 Shapes: S segments, n state dimensions.
 """
@@ -16,11 +16,11 @@ from swerve.base.space import TWO_PI, is_full_turn
 
 
 class GridAxis:
-    """One axis of a grid: cells of equal width, numbered beyond the ends too.
+    """One axis of a grid, with cells of equal width; indices go on beyond both ends.
 
-    A position of extended index e lies between line e and line e + 1. On a straight axis e is -1
-    below the grid and `count` above. On the axis of an angle each turn adds `period` indices: those
-    of `count` cells and, unless the cells fill the turn, of one gap.
+    A position of extended index e lies between line e and line e + 1. On a straight axis, e is -1
+    below the grid and `count` above the grid. On the axis of an angle, each turn adds `period`
+    indices: `count` for the cells and, unless the cells fill the turn, one for the gap.
     """
 
     def __init__(self, column: int, low: float, high: float, count: int, is_angle: bool) -> None:
@@ -29,12 +29,12 @@ class GridAxis:
         self.period = count if is_angle and is_full_turn(low, high) else count + 1
 
     def position(self, states: np.ndarray) -> np.ndarray:
-        """Return the distance [...] above the low end; in [0, 2 pi) for angles."""
+        """Return how far [...] states [..., n] lie above the low end; in [0, 2 pi) for angles."""
         position = states[..., self.column] - self.low
         return position % TWO_PI if self.is_angle else position
 
     def index(self, position: np.ndarray) -> np.ndarray:
-        """Return the extended index of a position."""
+        """Return the extended index [...] of positions [...]."""
         if not self.is_angle:
             return np.clip(np.floor(position / self.width), -1, self.count).astype(np.int64)
         turn = np.floor(position / TWO_PI)
@@ -43,11 +43,11 @@ class GridAxis:
 
     @property
     def has_gap(self) -> bool:
-        """Whether the cells of an angle leave a gap: a step may leave a cell and enter it again."""
+        """Whether the cells of an angle leave a gap: a step can leave and re-enter a cell."""
         return self.is_angle and self.period > self.count
 
     def in_gap(self, index: np.ndarray) -> np.ndarray:
-        """Return where an extended index is that of the gap of an angle."""
+        """Return True where an extended index is that of the gap of an angle."""
         return index % self.period >= self.count
 
     def turned(
@@ -55,7 +55,8 @@ class GridAxis:
     ) -> np.ndarray:
         """Return the extended indices [S] of the ends of segments, counted on from their starts.
 
-        The cell is that of the end itself: start + step may be rounded to the other side of a line.
+        An end's cell follows from the end itself, since start + step may be rounded to the other
+        side of a line.
 
         Args:
           last: [S] extended indices of the ends.
@@ -69,7 +70,7 @@ class GridAxis:
         return last + np.round(missed / TWO_PI).astype(np.int64) * self.period
 
     def cell(self, index: np.ndarray) -> np.ndarray:
-        """Return the cell of an extended index; beyond 0 to `count` - 1 there is no cell."""
+        """Return the cell of an extended index; results outside 0 to `count` - 1 are not cells."""
         return index % self.period if self.is_angle else index
 
     def line(self, number: np.ndarray) -> np.ndarray:
@@ -110,8 +111,8 @@ class GridAxis:
     ) -> np.ndarray:
         """Return the extended index just after a fraction of segments from index first to last.
 
-        A line met exactly at the fraction counts as crossed, so that a cell that is only touched at
-        a corner is not entered, as with boxes.
+        A line met exactly at the fraction counts as crossed. So a cell that is only touched at a
+        corner is not entered, as with boxes.
         """
         position = self.position(starts) + fraction * steps[:, self.column]
         index = self.index(position)

@@ -1,9 +1,8 @@
-"""Judge a trajectory state by state: which hypotheses does its newest step enter?
+"""Judge a trajectory state by state: tell which hypotheses its newest step enters.
 
-On a grid a segment that crosses no grid line enters nothing new, and a segment that crosses a
-single line enters the cell of its end. So most states of a grid need a few operations on single
-numbers. All other segments, and all hypotheses that are no grid, are judged as a trajectory of two
-states.
+On a grid, a segment that crosses no grid line enters no new cell, and a segment that crosses a
+single line enters the cell of its end. So most states need only a few operations on single numbers.
+All other segments, and hypotheses other than grids, are judged as a trajectory of two states.
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ def stepwise(
     space: StateSpace,
     between_states: bool,
 ) -> Steps:
-    """Return the judge of one trajectory, from its first state on.
+    """Return an object that judges one trajectory, from its first state on.
 
     Args:
-      hypotheses: of the problem.
-      judged: the hypotheses less a margin; the same object as `hypotheses` without a margin.
+      hypotheses: hypotheses of the problem.
+      judged: the hypotheses less a margin; without a margin, the same object as `hypotheses`.
       space: names, angles and bounds of the states.
       between_states: whether the segments between states count as well.
     """
@@ -106,7 +105,7 @@ class GridSteps:
 
 
 class ErodedSteps:
-    """Judges the cells of a grid less a margin: only steps that enter a cell can enter its rest."""
+    """Judges the cells of a grid less a margin: only steps that enter a cell can enter its core."""
 
     def __init__(
         self, cells: GridSteps, rest: HypothesisSet, space: StateSpace, between_states: bool
@@ -117,7 +116,7 @@ class ErodedSteps:
         self._last: list[float] | None = None
 
     def enter(self, state: list[float]) -> Sequence[int]:
-        """Return the cells whose rest the step from the last state to this state enters."""
+        """Return the cells whose core the step from the last state to this state enters."""
         last, self._last = self._last, list(state)
         crossed = tuple(self._cells.enter(state))
         start, end = np.array([[last or state], [state]])
@@ -136,7 +135,7 @@ def _place(axis: GridAxis, value: float) -> tuple[float, int]:
     if not axis.is_angle:
         return position, min(max(math.floor(position / axis.width), -1), axis.count)
     position %= TWO_PI
-    turn = math.floor(position / TWO_PI)  # 1 where a tiny negative number is rounded to a turn
+    turn = math.floor(position / TWO_PI)  # 1 where a tiny negative number is rounded to a full turn
     within = math.floor((position - turn * TWO_PI) / axis.width)
     return position, turn * axis.period + min(within, axis.period - 1)
 

@@ -1,4 +1,4 @@
-"""Hypotheses from the data that they are stored as: the inverse of `HypothesisSet.to_json`."""
+"""Rebuild hypotheses from their stored data: the inverse of `HypothesisSet.to_json`."""
 
 from __future__ import annotations
 

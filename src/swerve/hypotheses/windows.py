@@ -1,8 +1,8 @@
-"""Hypotheses that are overlapping windows: boxes of one size, slid by a part of their sides.
+"""Judge hypotheses that are overlapping windows: boxes of one size, slid by a part of a side.
 
 Whether a regular grid finds an obstacle depends on where the grid lines are. Windows of side w,
-moved by w / k along each axis, fit an obstacle to within w / 2k wherever it is. A window consists
-of k cells of side w / k along every axis, and the cells are judged as a grid:
+moved by w / k along each axis, fit an obstacle to within w / 2k wherever the obstacle is. A window
+consists of k cells of side w / k along every axis, and the cells are judged as a grid:
 
     window i is entered    where one of the cells i, ..., i + k - 1 is entered.
 
@@ -22,15 +22,15 @@ from swerve.base.space import TWO_PI, Actions, StateSpace
 from swerve.hypotheses.bits import no_bits, pack, unpack
 from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
 
-AT_ONCE = 1 << 22  # bits of (trajectory, cell) unpacked at a time: bounds the memory
-ROUNDING = 1e-9  # of a stride: relative error of sums of widths that counts as none
+AT_ONCE = 1 << 22  # pairs of a trajectory and a cell judged at a time: bounds the memory
+ROUNDING = 1e-9  # share of a stride: errors of sums of widths up to this one are rounding
 
 
 class WindowHypotheses(BoxHypotheses):
-    """Overlapping windows along some of the states; made by `windows`.
+    """Overlapping windows over some of the states; made by `windows`.
 
     The last named state varies fastest. A window lies within [low, high] of every axis; where the
-    strides fill the full turn of an angle, windows go round.
+    strides fill the full turn of an angle, windows continue across the ends.
     """
 
     def __init__(self, axes: dict[str, tuple[float, float, float]], overlap: int) -> None:
@@ -54,7 +54,7 @@ class WindowHypotheses(BoxHypotheses):
         )
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
-        """Raise ValueError where an axis names no state, or goes round and is no angle."""
+        """Raise ValueError where an axis names no state, or spans 2 pi but is not an angle."""
         self._cells.check(space, action_names)
         for name, goes_round in zip(self.axes, self._goes_round, strict=True):
             if goes_round and name not in space.angles:
@@ -64,7 +64,7 @@ class WindowHypotheses(BoxHypotheses):
                 )
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return for each axis the low and the high ends of its windows."""
+        """Return for each axis the low ends and the high ends of its windows."""
         ends = {}
         for (name, (low, high, count)), num in zip(
             self._cells.axes.items(), self.shape, strict=True
@@ -92,7 +92,7 @@ class WindowHypotheses(BoxHypotheses):
         return bits
 
     def _dilated(self, entered: np.ndarray) -> np.ndarray:
-        """Return the windows [N, ...] that hold an entered cell, of cells entered [N, ...]."""
+        """Return [N, ...] True for windows that hold one of the entered cells [N, ...]."""
         for axis, num in enumerate(self.shape, start=1):
             if self._goes_round[axis - 1]:
                 entered = np.concatenate(
@@ -106,7 +106,7 @@ class WindowHypotheses(BoxHypotheses):
         return entered
 
     def best_of_cells(self, values: np.ndarray) -> tuple[GridHypotheses, np.ndarray]:
-        """Return the cells of the windows, and for each cell the largest value of its windows [F].
+        """Return the cells of the windows, and for each cell the largest value [F] of its windows.
 
         Args:
           values: [H] a number for each window.
@@ -129,13 +129,13 @@ class WindowHypotheses(BoxHypotheses):
 
 
 def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypotheses:
-    """Make overlapping windows of one size, slid along every axis, the hypotheses.
+    """Make hypotheses of overlapping windows of one size, slid along every axis.
 
     Args:
       overlap: k, the number of strides in the width of a window: a stride is width / k.
-      **axes: for each state (low, high, width), in that state's unit. Windows lie within
-        [low, high], from low on; the rest of a stride at the high end is in no window. Where
-        strides fill the full turn of an angle, windows go round.
+      **axes: for each state (low, high, width), in that state's unit. Windows lie within [low,
+        high], the first at low; a rest shorter than a stride at the high end is in no window. Where
+        strides fill the full turn of an angle, windows continue across the ends.
 
     Returns:
       Hypotheses numbered with the last axis fastest.
