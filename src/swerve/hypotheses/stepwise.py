@@ -105,7 +105,10 @@ class GridSteps:
 
 
 class ErodedSteps:
-    """Judges the cells of a grid less a margin: only steps that enter a cell can enter its core."""
+    """Judges the cells of a grid less a margin: only steps that enter a cell can enter its core.
+
+    The core of a cell is the cell less the margin.
+    """
 
     def __init__(
         self, cells: GridSteps, rest: HypothesisSet, space: StateSpace, between_states: bool

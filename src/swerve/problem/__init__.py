@@ -1,1 +1,1 @@
-"""State what is asked: the MDP, its tasks, its hypotheses and the constraints already known."""
+"""Define the problem to solve: the MDP, its tasks, the hypotheses and the known constraints."""

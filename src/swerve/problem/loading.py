@@ -1,8 +1,8 @@
 """Load the problem that a text names, such as "pendulum?max_torque=10" or "robot.py:problem".
 
 The text is a specification (see `base.specification`) whose target is a shipped name, a file or a
-module. The source files that a problem may have come from are hashed, so that a stored result can
-tell that they have changed without running them.
+module. The source files that a problem may have come from are hashed. So a change of these files is
+noticed, for a stored result, without running them.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hash of each 
 
 
 def canonical_problem(text: str) -> str:
-    """Return the canonical text of a problem specification: two texts of one problem agree.
+    """Return the canonical text of a specification, the same for all texts of one problem.
 
     Paths of files become absolute, modules get their folder, parameters are sorted, and plain
-    numbers are written in one way: 10, 10.0 and 1e1 are the same. No code is loaded, so it is not
-    known which parameters are numbers: a value that is more likely a text, or has more digits than
-    a float (007, 1.10, 1_000), stays as it is. Taking one problem for two costs a message; taking
-    two problems for one would give a wrong answer.
+    numbers are written in one way: 10, 10.0 and 1e1 are the same. No code is loaded, so nothing
+    tells which parameters are numbers: a value that is more likely a text, or has more digits than
+    a float (007, 1.10, 1_000), stays as it is. Mistaking one problem for two costs a message;
+    mistaking two problems for one would give a wrong answer.
     """
     specification = Specification.parse(text)
     path, colon, name = specification.target.rpartition(":")
@@ -50,7 +50,7 @@ def canonical_problem(text: str) -> str:
 
 
 def _place(module: str) -> str:
-    """Return ' in FOLDER' for a module that is not installed, empty for an installed one."""
+    """Return ' in FOLDER' for a module that is not installed, '' for an installed module."""
     _search_here()
     try:
         found = importlib.util.find_spec(module.partition(".")[0])
@@ -69,7 +69,7 @@ def load_problem(text: str) -> Any:
         parameters after "?" where the name is a function that returns a Problem.
 
     Raises:
-      ValueError: if the text names nothing, or something that is no Problem.
+      ValueError: if the text names no object, or an object that is not a Problem.
     """
     from swerve.problem.problem import Problem
 
@@ -102,14 +102,14 @@ def load_problem(text: str) -> Any:
 def source_hashes(problem: Any) -> dict[str, str]:
     """Return the hash of every source file that a problem may have come from.
 
-    Hashed are the `.py` files, except installed ones and the standard library, of
+    The hashed files are the `.py` files, without installed packages and the standard library, of
 
     - all modules that are imported now, whether or not the problem uses them, except Swerve's own
       and the script that Python was started with;
-    - the modules that define the classes of the MDP, even if they are that script or Swerve's.
+    - the modules that define the classes of the MDP, even that script or Swerve's own modules.
 
-    Data files, compiled modules and modules imported later are left out. A module that was hashed
-    before keeps its first hash, since the code of that time is the code that runs.
+    Data files, compiled modules and modules imported later are left out. A module keeps its first
+    hash, since the code that runs is the code that was imported then.
     """
     modules = {name: sys.modules[name] for name in _user_modules()}
     for base in type(problem.mdp).__mro__:
@@ -131,7 +131,7 @@ def file_hash(path: Path) -> str:
 
 
 def _user_modules() -> dict[str, Path]:
-    """Return the files of imported modules that are neither Swerve's, installed nor `__main__`."""
+    """Return the files of imported modules, except Swerve's, installed modules and `__main__`."""
     files = {
         name: Path(file)
         for name, module in list(sys.modules.items())
@@ -144,7 +144,7 @@ def _user_modules() -> dict[str, Path]:
 def _is_user_source(path: Path) -> bool:
     return (
         path.suffix == ".py"
-        and not {"site-packages", "dist-packages"} & set(path.parts)  # of users, of Debian
+        and not {"site-packages", "dist-packages"} & set(path.parts)  # of pip, of Debian
         and not any(path.is_relative_to(folder) for folder in _installed())
     )
 
@@ -159,7 +159,7 @@ def _load_file(path: Path) -> ModuleType:
         raise ValueError(f"{path}: no such file")
     path = path.resolve()
     _check_neighbours(path)
-    sys.path.insert(0, str(path.parent))  # so that the file can import its neighbours
+    sys.path.insert(0, str(path.parent))  # so that the file can import other files of its folder
     # a name that neither an installed module nor a file of this name in another folder can have
     name = f"swerve_problem_{path.stem}_{hashlib.sha256(bytes(path)).hexdigest()[:8]}"
     specification = importlib.util.spec_from_file_location(name, path)
@@ -180,7 +180,7 @@ def _load_file(path: Path) -> ModuleType:
 def _user_code() -> Iterator[None]:
     """Turn any error in a user's code into a ValueError that names the file and the line.
 
-    An error that no line of a user's file took part in is left as it is.
+    An error without a line of a user's file in its traceback stays as it is.
     """
     try:
         yield
@@ -201,10 +201,11 @@ def _user_code() -> Iterator[None]:
 
 
 def _check_neighbours(path: Path) -> None:
-    """Raise ValueError where a file would import another folder's module for its neighbour.
+    """Raise ValueError where a file would not import its neighbour but another folder's module.
 
-    Python keeps one module of each name. To replace it by the neighbour would only turn the mistake
-    round: functions of the file that was loaded first may import the name when they are called.
+    Python keeps one module of each name. To replace that module by the neighbour would only move
+    the mistake: functions of the file that was loaded first may import the name when they are
+    called.
     """
     for name, loaded in _user_modules().items():
         stem = path.parent.joinpath(*name.split("."))

@@ -29,8 +29,9 @@ from swerve.base.space import StateSpace, Task
 class _StateNames:
     """The default of `goal_names`: the names of the states.
 
-    A property would not do: it takes precedence over a field of the same name in a subclass. This
-    descriptor gives way to the instance's own value, and offers no default to the field.
+    A property cannot serve: a property takes precedence over a field of the same name in a
+    subclass. This descriptor leaves precedence to the instance's own value, and gives the field no
+    default.
     """
 
     def __get__(self, mdp: Any, owner: type) -> tuple[str, ...]:
@@ -46,7 +47,7 @@ class MDP(eqx.Module):
     `dynamics` and `reward`; the other methods have defaults.
 
     Attributes:
-      state_names: the n names of the states, also the columns of demonstration files.
+      state_names: the n names of the states, which are also the columns of demonstration files.
       action_names: the m names of the action's components.
       actions: [A, m] the actions to choose from.
       dt: duration of a step [s].
@@ -96,20 +97,20 @@ class MDP(eqx.Module):
         return jnp.zeros(())
 
     def terminated(self, state: Float[Array, " n"], goal: Float[Array, " g"]) -> Bool[Array, ""]:
-        """Return whether the episode ends on reaching this state; never unless overridden."""
+        """Return whether the episode ends on reaching this state; False unless overridden."""
         return jnp.zeros((), bool)
 
     def goal_of(self, states: Float[np.ndarray, "L n"]) -> Float[np.ndarray, " g"]:
-        """Return the goal of a finished demonstration that names none: its last state."""
+        """Return the goal [g] of a finished demonstration without a stated goal: its last state."""
         return states[-1]
 
     def features(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, " F"]:
-        """Return a network's inputs for a state, the step t and the goal, about unit scale.
+        """Return a network's inputs, of about unit scale, for a state, the step t and the goal.
 
-        By default, these are the state and its difference to the goal in units of half the bounds'
-        extent (angles as sine and cosine), the goal itself, and the time to go.
+        By default, the inputs are the state and its difference to the goal in units of half the
+        bounds' extent (angles as sine and cosine), the goal itself, and the time to go.
         """
         space = self.space
         centre, half = space.bounds.mean(axis=1), 0.5 * space.extent
@@ -123,7 +124,7 @@ class MDP(eqx.Module):
         return jnp.concatenate(parts)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
-        """Sample a task to be ready for; by default start and goal are uniform in the bounds."""
+        """Sample a task to train for; by default start and goal are uniform in the bounds."""
         if self.goal_names != self.state_names:
             raise ValueError(
                 f"{type(self).__name__} has goals {self.goal_names} that are not states: "
@@ -133,7 +134,7 @@ class MDP(eqx.Module):
         return Task(MDP.sample_state(self, key_start), MDP.sample_state(self, key_goal))
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, " n"]:
-        """Sample a state, for training to start from; by default uniform in the bounds."""
+        """Sample a state from which training may start; by default uniform in the bounds."""
         bounds = self.space.bounds
         return jax.random.uniform(
             key, (len(bounds),), minval=jnp.asarray(bounds[:, 0]), maxval=jnp.asarray(bounds[:, 1])
@@ -165,7 +166,7 @@ def check_mdp(mdp: MDP) -> None:
     """Check shapes and values of an MDP by trying its methods on one state.
 
     Raises:
-      ValueError: with the attribute or method, the expected and the actual value.
+      ValueError: naming the attribute or method, the expected value and the actual value.
     """
     name = type(mdp).__name__
     for label in ("state_names", "action_names", "angles", "goal_names"):
@@ -207,7 +208,7 @@ def check_mdp(mdp: MDP) -> None:
 def _check_method(
     label: str, method: Callable[..., Any], arguments: tuple[Array, ...], shape: tuple, kind: type
 ) -> None:
-    """Call a method of an MDP, with and without tracing by JAX, and check the value it returns."""
+    """Call a method of an MDP, with and without tracing by JAX, and check the returned value."""
     try:
         jax.eval_shape(method, *arguments)
         value = jnp.asarray(method(*arguments))

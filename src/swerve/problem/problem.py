@@ -1,12 +1,12 @@
-"""A constraint inference problem: an MDP, hypothesised constraints and a demonstrator's beta.
+"""Define constraint inference problems: an MDP, hypotheses and a demonstrator's beta.
 
 The nominal distribution of the problem is
 
     pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0
 
-over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
-m = A^-length ("uniform"). A hypothesis c restricts it further:
-pi_c = m exp(beta R) 1[avoids c] / Z_c.
+over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or m =
+A^-length ("uniform"). A hypothesis c restricts this distribution further: pi_c = m exp(beta R)
+1[avoids c] / Z_c.
 """
 
 from __future__ import annotations
@@ -28,22 +28,23 @@ from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.problem.mdp import MDP, check_mdp
 from swerve.problem.record import MEASURES, ProblemRecord, digest
 
-OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # module of a user's file, with a hash of its path
+OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # module of a user's file, with the path's hash
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An MDP, hypothesised constraints, and what is assumed of the demonstrator.
+    """An MDP, hypothesised constraints, and the assumptions about the demonstrator.
 
     Attributes:
       mdp: dynamics, reward, actions, horizon.
-      hypotheses: the constraints to choose from, made by `grid` or `windows`, or a list of them.
+      hypotheses: the constraints to choose from, made by `grid` or `windows`, or a list of
+        constraints.
       beta: inverse temperature of the demonstrator, nats per unit of reward.
       measure: base measure of trajectories, "uniform" (A^-length) or "counting" (1).
-      known: constraints that are known to hold; the nominal distribution obeys them too.
-      between_states: whether crossing a constraint between two states counts as entering it;
-        False judges the states alone, as the paper does. None means True, but False for a tabular
-        MDP, which has no states between its states.
+      known: constraints that are known to hold; the nominal distribution obeys these too.
+      between_states: whether crossing a constraint between two states counts as entering it; False
+        judges the states alone, as the paper does. None means False for a tabular MDP, which has no
+        states between its states, and True for others.
     """
 
     mdp: MDP
@@ -53,7 +54,7 @@ class Problem:
     known: Sequence[Constraint] = ()
     between_states: bool = None  # pyright: ignore[reportAssignmentType]  # set below
 
-    if TYPE_CHECKING:  # a list of constraints is accepted, and made into a HypothesisSet
+    if TYPE_CHECKING:  # lists of constraints are accepted, and become a HypothesisSet
 
         def __init__(
             self,
@@ -106,7 +107,7 @@ class Problem:
 
 
 def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
-    """Raise ValueError where a hypothesis forbids none of the actions: no data could tell it."""
+    """Raise ValueError where a hypothesis forbids none of the actions: no data could support it."""
     if not hypotheses.about_actions:
         return
     table = np.asarray(mdp.actions)
@@ -126,7 +127,7 @@ def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
 
 
 def _mdp_name(mdp: MDP) -> str:
-    """Return for example 'Pendulum(max_torque=10.0, num_torques=5)': the scalar parameters."""
+    """Return the class and the scalar parameters, as in 'Pendulum(max_torque=10.0)'."""
     parameters = [
         f"{field.name}={value:.6g}" if isinstance(value, float) else f"{field.name}={value}"
         for field in dataclasses.fields(mdp)
@@ -142,7 +143,7 @@ def _mdp_digest(mdp: MDP) -> str:
     module = re.sub(OF_A_FILE, r"\1", type(mdp).__module__)
     parts = [f"{module}.{type(mdp).__qualname__}", _mdp_name(mdp)]
     for path, leaf in leaves:
-        if callable(leaf):  # its bytes would be an address in memory
+        if callable(leaf):  # the bytes of a function are an address in memory
             parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
             continue
         array = np.asarray(leaf)
@@ -154,7 +155,7 @@ def _mdp_digest(mdp: MDP) -> str:
 
 
 def _static_fields(module: Any, path: str) -> list[str]:
-    """Return the static fields of a module and of the modules in it: JAX has them in no leaf."""
+    """Return the static fields of a module and of modules inside: JAX has them in no leaf."""
     parts = []
     for field in dataclasses.fields(module):
         value, where = getattr(module, field.name), f"{path}.{field.name}"

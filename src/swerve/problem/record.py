@@ -1,12 +1,12 @@
-"""A problem as plain data: everything that is stored with a result.
+"""Hold a problem as plain data, as it is stored with a result.
 
 The nominal distribution of the problem is
 
     pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0
 
-over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
-m = A^-length ("uniform"). A record holds all of it but how to run the dynamics, so that inference
-needs neither JAX nor user code.
+over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or m =
+A^-length ("uniform"). A record holds the whole problem except the code of the dynamics, so that
+inference needs neither JAX nor user code.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ MEASURES = ("uniform", "counting")
 
 @dataclass(frozen=True, eq=False)
 class ProblemRecord:
-    """A problem as plain data: all of it but how to run the dynamics.
+    """A problem as plain data: everything except the code of the dynamics.
 
     Attributes:
       name: the MDP and its parameters, for people to read.
-      goal_is_last_state: whether `MDP.goal_of` is the default one.
+      goal_is_last_state: whether the MDP keeps the default `MDP.goal_of`.
       mdp_digest: hash of the MDP's class name, parameters and actions.
-      transitions: of a tabular MDP; None for others.
-      Others: as in `Problem` and `MDP`.
+      transitions: transitions of a tabular MDP; None for other MDPs. Other attributes: as in
+        `Problem` and `MDP`.
     """
 
     name: str
@@ -64,7 +64,7 @@ class ProblemRecord:
     @property
     def fingerprint(self) -> str:
         """A hash of the model, the hypotheses and all settings."""
-        return digest(json.dumps(self.to_json()))  # unsorted: the order of a grid's axes counts
+        return digest(json.dumps(self.to_json()))  # not sorted: the order of a grid's axes counts
 
     @property
     def summary(self) -> str:

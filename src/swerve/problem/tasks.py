@@ -1,4 +1,4 @@
-"""Sample or check tasks that can be begun.
+"""Sample tasks that can be begun, and check tasks.
 
 A task is a start state and a goal. A task can be begun if its start lies outside the known
 constraints and the episode does not end there at once.
@@ -21,13 +21,13 @@ from swerve.constraints.base import Constraint
 from swerve.demonstrations.checks import check_bounds
 from swerve.problem.problem import Problem
 
-NUM_CANDIDATES = 20  # tasks sampled for each task asked for: some start in a constraint
+NUM_CANDIDATES = 20  # tasks sampled per task asked for: some start in a constraint
 
 
 def can_begin(
     problem: Problem, state: Float[Array, " n"], goal: Float[Array, " g"]
 ) -> Bool[Array, ""]:
-    """Return whether an episode can begin in a state: not over, outside known constraints."""
+    """Return whether a state is outside known constraints and does not end the episode at once."""
     allowed = ~problem.mdp.terminated(state, goal)
     for constraint in problem.known:
         allowed = allowed & ~constraint.contains(state, problem.mdp.space)
@@ -40,10 +40,10 @@ def draw_tasks(
     """Sample tasks of the MDP whose starts, and goals that are states, lie outside constraints.
 
     Args:
-      problem: whose MDP samples the tasks; its known constraints are avoided.
+      problem: its MDP samples the tasks, and the tasks avoid its known constraints.
       num_tasks: K.
-      avoid: further constraints to stay out of.
-      seed: of the sampling.
+      avoid: further constraints that starts and goals must lie outside.
+      seed: seed of the sampling.
 
     Returns:
       Starts [K, n] and goals [K, g].
@@ -76,13 +76,13 @@ def named_tasks(
     tasks: Task | Sequence[Task],
     names: Sequence[str] | None,
 ) -> tuple[Task, list[str]]:
-    """Return tasks to be done without entering a constraint, as one batch, and their names.
+    """Return tasks, checked to start outside a constraint, as one batch, and their names.
 
     Args:
-      problem: of the tasks.
-      constraint: not to be entered.
-      tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
-      names: of the demonstrations; demo_000 and so on if None.
+      problem: problem that the tasks belong to.
+      constraint: constraint that must not be entered.
+      tasks: one task, a list of tasks, or a `Task` of arrays with a leading axis.
+      names: names of the demonstrations; demo_000 and so on if None.
 
     Raises:
       ValueError: if an argument is of the wrong kind, the constraint does not fit the MDP, a task
@@ -148,7 +148,7 @@ def checked_task(problem: Problem, task: Task) -> Task:
     """Return a single task, start [n] and goal [g], float64.
 
     Raises:
-      ValueError: as `checked_tasks`, or if there are several tasks.
+      ValueError: as from `checked_tasks`, or if there are several tasks.
     """
     start, goal = checked_tasks(problem, task)
     if len(start) != 1:

@@ -1,1 +1,1 @@
-"""Simulation: running a policy, from the start of a task or on from any state."""
+"""Run a policy, from the start of a task or onwards from any state."""

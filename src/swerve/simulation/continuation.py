@@ -1,10 +1,11 @@
-"""Trajectories that go on from any state at any step under a nominal policy.
+"""Continue trajectories from any state at any step under a nominal policy.
 
-The rest of a trajectory from step t on has a log-weight relative to the policy's value,
+The rest of a trajectory, from step t on, has a log-weight relative to the policy's value,
 
     l = sum_{k >= t} (beta r + log m - log pi) - V_t(s_t),
 
-which is 0 for the exact V and its policy. For a policy without a value l = 0, as if it were exact.
+which is 0 for the exact V and its policy. For a policy without a value l = 0, as if the policy were
+exact.
 
 Shapes: N trajectories, T steps, n state dimensions, g goal dimensions.
 """
@@ -25,7 +26,7 @@ from swerve.simulation.trajectory import Policy, sample_action, take_step
 
 
 class Continuation(NamedTuple):
-    """The rest of N trajectories; rows before the first step and after an end repeat a state.
+    """The rest of N trajectories; rows before the first step and after the end repeat a state.
 
     Attributes:
       states: [T+1, n, N].
@@ -46,14 +47,14 @@ def continued(
     goal: Float[Array, " g"],
     key: Key[Array, ""],
 ) -> Continuation:
-    """Go on from states at a step to the end of the episode.
+    """Continue trajectories from states at a step to the end of the episode.
 
     Args:
       problem: the MDP, beta, the measure and the known constraints.
-      policy: for the goal.
+      policy: policy that chooses the actions.
       starts: states from which trajectories go on.
       first: t, the step at which all trajectories go on.
-      goal: of all trajectories.
+      goal: goal of all trajectories.
       key: source of randomness.
     """
     num_steps, num = problem.mdp.num_steps, starts.shape[1]

@@ -1,4 +1,4 @@
-"""Policies with a soft value, and policies that look one step ahead with a soft value.
+"""Define policies with a soft value, and policies that look one step ahead with a soft value.
 
 With the value V of the state that each action leads to, or r_T where the episode ends,
 
@@ -27,8 +27,8 @@ from jaxtyping import Array, Float, Int
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import take_step
 
-FORBIDDEN = -1e9  # nats, of forbidden actions; finite, for states that have no other action
-LOWEST = -1e4  # nats, of values: sums of lower values in float32 would lose their digits
+FORBIDDEN = -1e9  # nats, value of a forbidden action; finite, since all actions may be forbidden
+LOWEST = -1e4  # nats, least value: sums with lower values would lose digits in float32
 
 
 class ValuedPolicy(eqx.Module):
@@ -42,7 +42,7 @@ class ValuedPolicy(eqx.Module):
 
     @property
     def beta(self) -> float | Float[Array, ""]:
-        """Inverse temperature of the policy: that of the problem unless overridden."""
+        """Inverse temperature of the policy: the problem's beta unless overridden."""
         return self.problem.beta
 
     @abc.abstractmethod
@@ -60,7 +60,7 @@ class ValuedPolicy(eqx.Module):
     def soft_value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
     ) -> Float[Array, ""]:
-        """Return the policy's estimate of V_t(s), nats; at a start V is log Z_0 of the task."""
+        """Return the policy's estimate of V_t(s), nats; at the start of a task, V is log Z_0."""
         return self.propose(state, step, goal)[1]
 
 
@@ -99,7 +99,7 @@ class LookAhead(ValuedPolicy):
     def backed_up(
         self, action_values: Float[Array, " A"]
     ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
-        """Return the policy and (B V)_t(s) [nats] of action values."""
+        """Return log pi(a | s, t) of every action, and (B V)_t(s) [nats], from action values."""
         total = jax.nn.logsumexp(action_values)
         return action_values - total, total - log_measure(self.problem)
 

@@ -1,4 +1,4 @@
-"""Batched rollouts of a policy: trajectories with their reward and exact log-probability.
+"""Roll out a policy in batches: trajectories with their reward and exact log-probability.
 
     log pi(xi) = sum_t log pi(a_t | s_t, t),    R(xi) = sum_t r(s_t, a_t, s_{t+1}) + r_T(s_L).
 
@@ -30,7 +30,7 @@ Policy = Callable[[Array, Array, Array], Array]
 
 
 class Trajectory(NamedTuple):
-    """A batch of trajectories; after its end a trajectory repeats its last state.
+    """A batch of trajectories; a trajectory that has ended repeats its last state.
 
     Attributes:
       states: [T+1, n, N].
@@ -48,7 +48,7 @@ class Trajectory(NamedTuple):
 
 
 class Step(NamedTuple):
-    """The outcome of one action.
+    """The result of one action.
 
     Attributes:
       state: [n] the next state.
@@ -81,11 +81,11 @@ def enters(
 
     Args:
       known: the known constraints.
-      state: in which the step begins.
-      next_state: in which the step ends.
-      mdp: that the states and actions are of.
+      state: state in which the step begins.
+      next_state: state in which the step ends.
+      mdp: MDP that the states and actions belong to.
       between_states: whether the segment between the states counts as well.
-      action: of the step; without it the states alone are judged.
+      action: action of the step; without an action the states alone are judged.
     """
     taken = None if action is None else Actions(tuple(mdp.action_names), action)
     hit = jnp.zeros((), bool)
@@ -130,7 +130,7 @@ def rollout(
     key: Key[Array, ""],
     num_trajectories: int,
 ) -> Trajectory:
-    """Roll out a batch of trajectories, all of one task or each of its own task.
+    """Roll out a batch of trajectories, for one task or with a task for each trajectory.
 
     Args:
       problem: the MDP and known constraints.

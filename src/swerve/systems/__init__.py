@@ -1,3 +1,3 @@
-"""Systems that Swerve ships, one file each."""
+"""Define the systems that come with Swerve, one file each."""
 
 from swerve.systems.pendulum import Pendulum as Pendulum

@@ -1,8 +1,9 @@
-"""The car of the paper, section V: a unicycle that swerves on a straight track.
+"""Define the car of the paper, section V: a unicycle that swerves on a straight track.
 
     x' = v sin(psi),   y' = v cos(psi),   psi' = turn rate,   v' = acceleration,
 
-x [m] across the track, y [m] along it, psi [rad] the heading, 0 along the track, v [m/s] the speed.
+with x [m] across and y [m] along the track, the heading psi [rad], 0 along the track, and the speed
+v [m/s].
 
     r = -(100 |x| + 0.05 |y - 8.5|) dt,   r_T = 100 past the goal line, -100 off the track.
 """
@@ -20,13 +21,13 @@ from swerve.hypotheses.grid import grid
 from swerve.problem.mdp import MDP, rk4
 from swerve.problem.problem import Problem
 
-GOAL_LINE = 8.5  # m
-TRACK = (-0.8, 0.2)  # m, of x
+GOAL_LINE = 8.5  # m: y of the line that ends the task
+TRACK = (-0.8, 0.2)  # m: x of the edges of the track
 NUM_LANES, NUM_ROWS = 2, 14
 TURN_RATES = (-0.5, 0.0, 0.5)  # rad/s
 ACCELERATIONS = (-1.0, 0.0, 1.0)  # m/s2
 CENTRE_WEIGHT, PROGRESS_WEIGHT, END_REWARD = 100.0, 0.05, 100.0
-START_SPREAD = (0.1, 0.1, 0.1, 0.3)  # half widths of the range of starts around (0, 0, 0, 1)
+START_SPREAD = (0.1, 0.1, 0.1, 0.3)  # m, m, rad, m/s: half widths of starts around (0, 0, 0, 1)
 
 
 class Car(MDP):
@@ -36,7 +37,7 @@ class Car(MDP):
 
     Attributes:
       dt: duration of a step [s].
-      num_steps: T, the most steps.
+      num_steps: T, the largest number of steps.
     """
 
     dt: float = eqx.field(default=0.05, static=True)
@@ -104,7 +105,7 @@ class Car(MDP):
         )
 
     def goal_of(self, states: np.ndarray) -> np.ndarray:
-        """Return the goal of a finished demonstration: there is only one."""
+        """Return the goal [0] of a finished demonstration: it has no components."""
         return states[-1, :0]
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "4"]:
@@ -129,7 +130,7 @@ def car(beta: float = 0.3, measure: str = "uniform", between_states: bool = True
 
     Args:
       beta: inverse temperature of the demonstrator; 200 in the paper.
-      measure: "uniform" or "counting"; with "counting" no car would ever arrive.
+      measure: "uniform" or "counting"; with "counting" no car would arrive.
       between_states: whether crossing a region between two states counts as entering it.
     """
     cells = grid(x=(*TRACK, NUM_LANES), y=(0.0, GOAL_LINE, NUM_ROWS))

@@ -1,7 +1,7 @@
-"""A double pendulum with a torque at its first joint.
+"""Define a double pendulum with a torque at its first joint.
 
-Two massless rods of length 1 with unit masses at their ends; theta_1 and theta_2 are measured from
-hanging down, both against the vertical, and g = 1:
+Two massless rods of length 1 have unit masses at their ends. Both angles, theta_1 and theta_2, are
+measured from the downward vertical, and g = 1:
 
     2 theta_1'' + cos(d) theta_2'' = u - sin(d) omega_2^2 - 2 sin(theta_1),
     cos(d) theta_1'' + theta_2''   =     sin(d) omega_1^2 -   sin(theta_2),
@@ -28,15 +28,15 @@ from swerve.problem.problem import Problem
 TERMINAL_WEIGHT = 10.0
 TORQUE_WEIGHT = 0.5
 FREQUENCIES = tuple(math.sqrt(2.0 + sign * math.sqrt(2.0)) for sign in (-1.0, 1.0))  # rad/s
-NEAR = (1.0, 1.0, 1.0, 1.0)  # rad, rad/s: half widths of the range of starts and goals around 0
-REACH = (1.8, 1.8, 2.5, 2.5)  # rad, rad/s: half widths of the range of exploring starts around 0
+NEAR = (1.0, 1.0, 1.0, 1.0)  # rad, rad, rad/s, rad/s: half widths of starts and goals around 0
+REACH = (1.8, 1.8, 2.5, 2.5)  # rad, rad, rad/s, rad/s: half widths of exploring starts around 0
 
 
 class DoublePendulum(MDP):
     """A double pendulum with state (theta_1, theta_2 [rad], omega_1, omega_2 [rad/s]).
 
     Attributes:
-      max_torque: torques are evenly spaced on [-max_torque, max_torque].
+      max_torque: largest torque; the torques are evenly spaced on [-max_torque, max_torque].
       num_torques: A, the number of torques.
       dt: duration of a step [s].
       num_steps: T.
@@ -81,9 +81,9 @@ class DoublePendulum(MDP):
     ) -> Float[Array, "32"]:
         """Return the default features, and the distance to the goal after coasting to the end.
 
-        Small swings are the sum of two modes, in phase and in opposition, each a rotation of
-        (q, q' / w). Differences of both modes to the goal are features; so are these differences
-        divided by the time left and bounded by tanh, at two scales.
+        Small swings are the sum of two modes, in phase and in opposition, each a rotation of (q, q'
+        / w). The differences of both modes to the goal are features. The same differences, divided
+        by the time left and bounded by tanh at two scales, are features too.
         """
         to_go = (self.num_steps - step) * self.dt
         miss = _modes(goal) - _coasted(_modes(state), to_go)
@@ -97,7 +97,7 @@ class DoublePendulum(MDP):
         )
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "4"]:
-        """Sample a state within 1.8 rad and 2.5 rad/s of hanging at rest, around all tasks."""
+        """Sample a state within 1.8 rad and 2.5 rad/s of hanging at rest, wider than tasks."""
         half = jnp.array(REACH)
         return jax.random.uniform(key, (4,), minval=-half, maxval=half)
 
@@ -153,7 +153,7 @@ def double_pendulum(
     Args:
       max_torque: torques are -1, -1/2, 0, 1/2 and 1 times this number.
       beta: inverse temperature of the demonstrator.
-      measure: "uniform" or "counting"; the same here, since all episodes have 100 steps.
+      measure: "uniform" or "counting"; both give the same here, since all episodes have 100 steps.
       between_states: whether crossing a cell between two states counts as entering it.
     """
     cells = grid(theta_1=(-1.5, 1.5, 10), theta_2=(-1.5, 1.5, 10))

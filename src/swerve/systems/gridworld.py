@@ -1,4 +1,4 @@
-"""The gridworld of Scobee & Sastry (2019): cells, walls, features, moves and a goal.
+"""Define the gridworld of Scobee & Sastry (2019): cells, walls, features, moves and a goal.
 
     R(xi) = step_reward * (moves taken),    and every trajectory must reach its goal.
 
@@ -66,16 +66,16 @@ def _features(
 class Gridworld(TabularMDP):
     """A world of width x height cells in which a walker takes one of eight moves at a time.
 
-    Cell (x, y) is state y * width + x. It is the square of side 1 around the point (x, y).
+    Cell (x, y) is state y * width + x, the square of side 1 around the point (x, y).
 
     Attributes:
       width: number of columns.
       height: number of rows.
-      num_steps: T, the most moves.
-      step_reward: of a move, also of a diagonal move.
+      num_steps: T, the largest number of moves.
+      step_reward: reward of a move, straight or diagonal.
       walls: cells (x, y) that cannot be entered.
-      cell_features: a dictionary of names and their cells, or (name, cells) pairs; the cells of a
-        feature are one hypothesis together.
+      cell_features: a dictionary of names and their cells, or (name, cells) pairs; all cells of a
+        feature together are one hypothesis.
     """
 
     width: int = eqx.field(static=True, default=9)
@@ -129,7 +129,7 @@ class Gridworld(TabularMDP):
         return jnp.where(self.terminated(state, goal), 0.0, -jnp.inf)
 
     def sample_task(self, key: Any) -> Task:
-        """Sample two different cells that are no walls."""
+        """Sample a start and a goal, two different cells that are not walls."""
         start, step = jax.random.split(key)
         blocked = [y * self.width + x for x, y in self.walls]
         free = jnp.asarray(np.delete(self.states, blocked, axis=0), jnp.float32)
@@ -184,8 +184,8 @@ def gridworld(
     Args:
       width: number of columns.
       height: number of rows.
-      num_steps: the most moves.
-      step_reward: of a move.
+      num_steps: the largest number of moves.
+      step_reward: reward of a move.
     """
     mdp = Gridworld(width, height, num_steps, step_reward)
     return Problem(mdp, mdp.hypotheses(), measure="counting", between_states=False)

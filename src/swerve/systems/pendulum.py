@@ -1,4 +1,4 @@
-"""The torque-controlled pendulum of the paper, section IV.
+"""Define the torque-controlled pendulum of the paper, section IV.
 
     theta'' = (g / l) sin(theta) + u,    g / l = 1,
 
@@ -22,16 +22,16 @@ from swerve.problem.problem import Problem
 
 TERMINAL_WEIGHT = 80.0
 TORQUE_WEIGHT = 0.05
-MAX_START_SPEED = 2.0  # rad/s, of starts and goals of tasks
-MAX_SPEED = 6.0  # rad/s, of exploring starts
+MAX_START_SPEED = 2.0  # rad/s: largest speed of starts and goals of tasks
+MAX_SPEED = 6.0  # rad/s: largest speed of exploring starts
 
 
 class Pendulum(MDP):
     """A pendulum with state (theta [rad], omega [rad/s]) and normalised torque u.
 
     Attributes:
-      max_torque: torques are evenly spaced on [-max_torque, max_torque]. The paper states 1; the
-        demonstrations of its authors need 10.
+      max_torque: largest torque; the torques are evenly spaced on [-max_torque, max_torque]. The
+        paper states 1; the demonstrations of its authors need 10.
       num_torques: A, the number of torques.
       dt: duration of a step [s].
       num_steps: T.
@@ -81,8 +81,8 @@ class Pendulum(MDP):
         """Return smooth features, among them the accelerations needed to still reach the goal.
 
         `miss` is the difference between the goal and the angle after coasting to the end. `turn`
-        and `gain` are the accelerations that would close this difference and the gap in speed, in
-        units of the largest torque.
+        and `gain` are the accelerations, in units of the largest torque, that would close this
+        difference and the difference in speed.
         """
         to_go = (self.num_steps - step) * self.dt
         angle, gap = goal[0] - state[0], goal[1] - state[1]
@@ -127,7 +127,7 @@ def pendulum(
     Args:
       max_torque: torques are -1, -1/2, 0, 1/2 and 1 times this number.
       beta: inverse temperature of the demonstrator.
-      measure: "uniform" or "counting"; the same here, since all episodes have 300 steps.
+      measure: "uniform" or "counting"; both give the same here, since all episodes have 300 steps.
       between_states: whether crossing a cell between two states counts as entering it.
     """
     if not (math.isfinite(max_torque) and max_torque > 0):

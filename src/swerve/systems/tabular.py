@@ -1,10 +1,11 @@
-"""MDPs with finitely many states: tables of successors and rewards.
+"""Define MDPs with finitely many states, by tables of successors and rewards.
 
 A state is a point of a lattice, 0 <= s_d < shape_d in each component d; states are numbered with
-the first component fastest. Every solver takes a tabular MDP, as any other MDP; the tabular solver
+the first component fastest. Every solver takes a tabular MDP like any other MDP; the tabular solver
 reads the tables directly.
 
-Shapes: S states, A actions, n components of a state, g of a goal, L steps of a demonstration.
+Shapes: S states, A actions, n components of a state, g components of a goal, L states of a
+demonstration.
 """
 
 import math
@@ -26,11 +27,12 @@ class TabularMDP(MDP):
 
     Attributes:
       shape: number of values of each component of a state.
-      successors: [S, A] the next state of each action, -1 where the action is not offered.
-      rewards: [S, A] the reward of each action, in units of reward.
+      successors: [S, A] the next state for each state and action, -1 where the action is not
+        offered.
+      rewards: [S, A] the reward of each action in each state, in units of reward.
     """
 
-    if TYPE_CHECKING:  # so that a subclass may provide the values as fields or as properties
+    if TYPE_CHECKING:  # a subclass may provide the values as fields or as properties
         shape: Any = eqx.field(init=False)
         successors: Any = eqx.field(init=False)
         rewards: Any = eqx.field(init=False)
@@ -43,7 +45,7 @@ class TabularMDP(MDP):
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Half a step beyond the outer lattice points, each the middle of a cell of side 1."""
+        """Half a step beyond the outer lattice points, at the edges of these points' cells."""
         return tuple((-0.5, size - 0.5) for size in self.shape)
 
     @property
@@ -72,7 +74,7 @@ class TabularMDP(MDP):
         return lattice_number(states, self.shape)
 
     def action_index(self, actions: Any) -> Any:
-        """Return the number [...] of the action nearest to each of actions [..., m]."""
+        """Return the number [...] of the action nearest to each action [..., m]."""
         return nearest(actions, self.actions)
 
     def dynamics(self, state: Any, action: Any) -> Any:
@@ -92,8 +94,8 @@ class ArrayMDP(TabularMDP):
     """A tabular MDP made of arrays; see `tabular`.
 
     Attributes:
-      terminal_rewards: [S] paid in the state where an episode ends.
-      absorbing: [S] states in which an episode ends before the horizon.
+      terminal_rewards: [S] rewards paid in the state where an episode ends.
+      absorbing: [S] True for states in which an episode ends before the horizon.
     """
 
     successors: np.ndarray = eqx.field()
@@ -108,7 +110,7 @@ class ArrayMDP(TabularMDP):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(S,): a state is its own number."""
+        """(S,): the only component of a state is its number."""
         return (len(self.successors),)
 
     @property
@@ -125,7 +127,7 @@ class ArrayMDP(TabularMDP):
         return jnp.asarray(self.absorbing)[self.state_index(state)]
 
     def goal_of(self, states: np.ndarray) -> np.ndarray:
-        """Return a goal without components: each start has only one task."""
+        """Return a goal [0]: it has no components, since each start has only one task."""
         return np.zeros(0)
 
     def sample_task(self, key: Any) -> Any:
@@ -143,7 +145,7 @@ def tabular(
 ) -> ArrayMDP:
     """Make an MDP of arrays.
 
-    A state has one component, `state`, its number; an action has one component, `action`.
+    The only component of a state, `state`, is its number; so is that of an action, `action`.
 
     Args:
       transitions: [S, A] numbers of the successors, -1 where an action is not offered; or [A, S, S]
@@ -151,8 +153,8 @@ def tabular(
         where an action is not offered.
       rewards: [S, A] or [S], in units of reward; -inf where an action is forbidden.
       num_steps: T, the horizon.
-      terminal_rewards: [S] paid in the state where an episode ends; 0 if None; -inf in states where
-        no episode may end.
+      terminal_rewards: [S] rewards paid in the state where an episode ends; 0 if None; -inf in
+        states where no episode may end.
       absorbing: states in which an episode ends before the horizon.
 
     Returns:

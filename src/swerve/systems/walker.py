@@ -1,18 +1,18 @@
-"""People who walk to a goal: soft shortest paths over the floor of a room.
+"""Define people who walk to a goal, by soft shortest paths over the floor of a room.
 
     s' = s + a,   r(s, a) = -|a|,   r_T = 0 within reach of the goal, -inf elsewhere,
 
-s = (x, y) [m] the position, a one of 16 displacements, to the points of a square lattice that are a
-chess king's or a knight's move away: 16 headings, 18 to 27 degrees apart. So R is minus the
-distance walked.
+s = (x, y) [m] is the position and a is one of 16 displacements on a square lattice, the moves of a
+king and of a knight in chess: 16 headings, 18 to 27 degrees apart. So R is minus the distance
+walked.
 
-The number of steps is free, and with the counting measure each step multiplies the number of walks:
+The number of steps is free. With the counting measure each step multiplies the number of walks, so
 the weights of the walks of all lengths have a finite sum only where
 
     sum_a exp(-beta |a|) < 1.
 
-For beta near this limit people stray as far as they can and still arrive; for a far larger beta
-they take the shortest way.
+For beta near this limit, people make the longest detours with which they still arrive. For a far
+larger beta, people take the shortest way.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from swerve.problem.mdp import MDP
 
 KING_AND_KNIGHT = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
 SPEED = 1.2  # m/s, a usual walking speed
-NUM_HALVINGS = 60  # of the interval that holds the least beta: to the last digit of a float64
+NUM_HALVINGS = 60  # halvings of the interval around the least beta: to the last digit of a float64
 
 
 def _bounds(bounds: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -37,15 +37,15 @@ def _bounds(bounds: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float
 
 
 class Walker(MDP):
-    """Somebody who walks over a floor to a goal, a position (x, y) [m].
+    """A person who walks over a floor to a goal, a position (x, y) [m].
 
-    The walker knows no walls: give walls as known constraints (see `Occupancy`).
+    The MDP contains no walls: give walls as known constraints (see `Occupancy`).
 
     Attributes:
-      bounds: of x and y [m].
-      spacing: of the lattice of positions [m].
-      reach: distance to the goal at which the walker has arrived [m].
-      num_steps: T, the most steps.
+      bounds: [2, 2] bounds of x and y [m].
+      spacing: distance between neighbours on the lattice of positions [m].
+      reach: distance to the goal [m] within which the walker has arrived.
+      num_steps: T, the largest number of steps.
     """
 
     bounds: tuple[tuple[float, float], ...] = eqx.field(
@@ -59,7 +59,7 @@ class Walker(MDP):
     action_names = ("dx", "dy")
 
     def __check_init__(self) -> None:
-        """Raise ValueError where a length is no positive number."""
+        """Raise ValueError where a length is not a positive number."""
         for name in ("spacing", "reach"):
             positive_number(getattr(self, name), f"Walker: {name}")
 
