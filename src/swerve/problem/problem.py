@@ -4,9 +4,10 @@ The nominal distribution of the problem is
 
     pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0
 
-over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or m =
-A^-length ("uniform"). A hypothesis c restricts this distribution further: pi_c = m exp(beta R)
-1[avoids c] / Z_c.
+over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
+m = A^-length ("uniform"). A hypothesis c restricts this distribution further:
+
+    pi_c(xi) = m(xi) exp(beta R(xi)) 1[xi avoids c] / Z_c
 """
 
 from __future__ import annotations

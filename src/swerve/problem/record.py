@@ -4,8 +4,8 @@ The nominal distribution of the problem is
 
     pi_0(xi) = m(xi) exp(beta R(xi)) / Z_0
 
-over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or m =
-A^-length ("uniform"). A record holds the whole problem except the code of the dynamics, so that
+over the trajectories that avoid the known constraints, with base measure m = 1 ("counting") or
+m = A^-length ("uniform"). A record holds the whole problem except the code of the dynamics, so that
 inference needs neither JAX nor user code.
 """
 
@@ -36,8 +36,8 @@ class ProblemRecord:
       name: the MDP and its parameters, for people to read.
       goal_is_last_state: whether the MDP keeps the default `MDP.goal_of`.
       mdp_digest: hash of the MDP's class name, parameters and actions.
-      transitions: transitions of a tabular MDP; None for other MDPs. Other attributes: as in
-        `Problem` and `MDP`.
+      transitions: transitions of a tabular MDP; None for other MDPs.
+      Other attributes: as in `Problem` and `MDP`.
     """
 
     name: str

@@ -81,9 +81,9 @@ class DoublePendulum(MDP):
     ) -> Float[Array, "32"]:
         """Return the default features, and the distance to the goal after coasting to the end.
 
-        Small swings are the sum of two modes, in phase and in opposition, each a rotation of (q, q'
-        / w). The differences of both modes to the goal are features. The same differences, divided
-        by the time left and bounded by tanh at two scales, are features too.
+        Small swings are the sum of two modes, in phase and in opposition, each a rotation of
+        (q, q' / w). The differences of both modes to the goal are features. The same differences,
+        divided by the time left and bounded by tanh at two scales, are features too.
         """
         to_go = (self.num_steps - step) * self.dt
         miss = _modes(goal) - _coasted(_modes(state), to_go)
