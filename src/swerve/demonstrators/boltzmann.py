@@ -43,7 +43,7 @@ ENOUGH = 0.5  # least effective share of the candidates; below it, particles are
 NUM_PARTICLES = 100  # particles of one island
 LEAST_ESS = 50.0  # effective particles; below it, a choice by weight would not follow pi_c
 Sampler = Callable[[Task, jax.Array, str], Demonstration | None]
-STREAM = zlib.crc32(b"demonstrations")  # keeps numbers apart from those of tasks with this seed
+STREAM = zlib.crc32(b"demonstrations")  # keeps random numbers apart from those of sampled tasks
 
 
 def demonstrate(
@@ -67,7 +67,7 @@ def demonstrate(
       solver: solver that learns pi_c, as for `learn`: "tabular", which samples from pi_c exactly,
         "grid" or "soft-value", with settings as in "grid?num_points=81"; if None, "tabular" for a
         tabular MDP and "grid" for any other.
-      nominal: nominal that "grid" or "soft-value" learned of the same MDP without the constraint,
+      nominal: nominal of the same MDP without the constraint, learned by "grid" or "soft-value",
         to start from instead of a solver.
       seed: seed of the sampling.
       progress: whether to show a progress bar.
@@ -123,10 +123,10 @@ def _sources(
 
 
 def _adapted(constrained: Problem, nominal: Nominal, seed: int) -> Iterable[Nominal]:
-    """Return nominals that start from one learned without the constraint.
+    """Return nominals adapted from a nominal that was learned without the constraint.
 
     Raises:
-      ValueError: if its solver cannot adapt it, or its MDP, beta or measure is another.
+      ValueError: if the solver of the nominal cannot adapt it, or MDP, beta or measure differ.
     """
     adapting = getattr(nominal, "solver", None)
     if not isinstance(adapting, AdaptingSolver):

@@ -36,10 +36,10 @@ Step = Callable[[jax.Array, jax.Array], jax.Array]  # dynamics
 TURN_GAIN = 2.5  # rad/s of turn rate per rad of heading error
 SPEED_GAIN = 2.0  # m/s2 of acceleration per m/s of speed error
 CREEP = 0.3  # m/s: speed to brake to when the obstacle is near and the way is not clear
-TIGHT = 0.8  # s to the obstacle: a driver not clear of it by then brakes hard
+TIGHT = 0.8  # s to the obstacle: a driver who is not clear of it by then brakes hard
 START = (0.0, 0.0, 0.0, 1.0)  # m, m, rad, m/s: in the lane, along it
 FAST = 1.2  # times the speed past the obstacle: a faster driver brakes before steering
-LAST = 1.3  # m to the obstacle: closer than this, a driver steers at any speed
+LAST = 1.3  # m to the obstacle: nearer than this, a driver steers at any speed
 MOST_TRIES = 50  # drives that hit the obstacle before it counts as impossible to pass
 LEAST_PREVIEW = 0.25  # m: least distance of the point that is steered to
 LEAST_GAP = 0.25  # m: least width of track beside the obstacle, for a driver to pass
@@ -60,7 +60,8 @@ class Driver:
       steering_time: time to the obstacle at which steering begins [s].
       clearance: distance to keep from the obstacle's side [m].
       past: distance beyond the obstacle before going back to the lane [m].
-      noise: standard deviation of corrections, relative to each and to a tenth of the largest.
+      noise: standard deviation of each part of the noise: one is relative to the correction, the
+        other to a tenth of the largest correction.
     """
 
     lane: float
@@ -110,8 +111,8 @@ def drives(
       drive enters the obstacle.
 
     Raises:
-      ValueError: if the obstacle is not a box in x and y, leaves no way past, or
-        a driver hits it again and again.
+      ValueError: if the obstacle is not a box in x and y, leaves no way past, or a driver hits it
+        again and again.
     """
     instance(mdp, Car, "mdp", "drivers drive swerve.Car()")
     num, seed = whole_number(num, "num", 1), whole_number(seed, "seed", 0)

@@ -30,8 +30,8 @@ from swerve.constraints.polygons import Polygon
 from swerve.constraints.shapes import Ball, HalfSpace
 from swerve.constraints.state_action import StateAction
 
-UNUSED = 0.02  # weight, in guesses, of sides that do not separate: above 0, inside the bounds
-PUSH = 1.1  # times the distance to an obstacle's side, by which guesses are pushed out of it
+UNUSED = 0.02  # weight, in guesses, of sides that do not separate: above 0, the lower bound
+PUSH = 1.1  # factor on the distance to a side, by which guesses are pushed out of an obstacle
 
 
 class Path(NamedTuple):
@@ -59,11 +59,11 @@ class Obstacle:
 
     Attributes:
       columns: [k] columns that bound the set, of the n states and the m actions after them.
-      normal: [F, k] the sides A, of length 1 in units of `obstacles_of`; the identity for balls.
+      normal: [F, k] the sides A, of length 1 in the units of `obstacles_of`; 1 for balls.
       offset: [F] b, or the centre of a ball.
       radius: radius of a ball; 0 for a set with sides.
       angles: (column, low, high) of the angles among the columns; the set repeats every full turn.
-      on_segments: whether the set is of states alone, and so to avoid between two states too.
+      on_segments: whether the set is of states alone: then it is avoided between states too.
     """
 
     columns: tuple[int, ...]
@@ -224,7 +224,7 @@ def _sides(
     rows = [(row, limit) for row, limit in rows if math.isfinite(limit)]
     if not rows:
         raise ValueError(
-            "constraint: expected one that allows something, but it forbids everything"
+            "constraint: expected one that allows something, got one that forbids everything"
         )
     columns = tuple(sorted({names.index(name) for row, _ in rows for name in row}))
     normal, offset = np.zeros((len(rows), len(columns))), np.zeros(len(rows))

@@ -85,19 +85,19 @@ def optimal_control(
       limits: least and largest action, which may be infinite; those of the discretised actions if
         None.
       num_steps: T; the problem's horizon if None. Give it where episodes end early.
-      num_guesses: number of paths to begin with; more find better optima.
+      num_guesses: number of paths to begin with; more paths find better optima.
       goal_tolerance: how far from its goal a demonstration may end, where the names of goals are
         names of states, such as a position [Euclidean, in the states' units].
       seed: seed of the guesses.
       progress: whether to show a progress bar.
 
     Returns:
-      K optima. Their demonstrations enter neither the constraint nor a known one, at a state or
-      between two.
+      K optima. Their demonstrations enter neither the constraint nor a known constraint, at a state
+      or between two states.
 
     Raises:
       ImportError: if CasADi is not installed.
-      NoPathError: a ValueError, if no path is found that avoids them and reaches the goal.
+      NoPathError: if no path is found that avoids these constraints and reaches the goal.
       ValueError: if a start lies inside the constraint, or an argument is of the wrong kind or
         range.
     """

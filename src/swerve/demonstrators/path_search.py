@@ -27,15 +27,15 @@ from swerve.problem.problem import Problem
 if TYPE_CHECKING:
     from swerve.demonstrators.transcription import Solution, Transcription
 
-NUM_GUESSES = 8  # by default; more find better optima and take longer
+NUM_GUESSES = 8  # guesses by default; more guesses find better optima and take longer
 GOAL_TOLERANCE = 0.05  # in the states' units, Euclidean: farthest end from the goal, by default
 TURNS = (0, 1, -1, 2, -2)  # full turns of each angle that guesses add to its shorter arc
 NUM_WAVES = 3  # sine waves that a random guess adds to the straight line
 SWING = 0.2  # standard deviation of a wave's height, as a share of the extent of the state
 NEAR = 0.25 * TWO_PI  # rad: images of an obstacle count this far beyond the angles of a path
-EARLY, UNLIKE = "Ends_Early", "Unlike_Dynamics"  # faults of a solution beside the solver's own
+EARLY, UNLIKE = "Ends_Early", "Unlike_Dynamics"  # faults of a solution, beside IPOPT's statuses
 DEFECT = 1e-3  # share of the extent of a state by which a step may miss the dynamics (float32)
-ROUNDS = 3  # times to add images of an obstacle that a solution has come near
+ROUNDS = 3  # rounds, at most, of adding the images of obstacles that a solution has come near
 
 
 class Search(NamedTuple):
@@ -63,7 +63,7 @@ class PathSearch:
     """The search, prepared once for all tasks of a problem.
 
     Args:
-      problem: the model, with the constraints that it knows.
+      problem: the model, with its known constraints.
       constraint: c, to avoid as well.
       search: the settings.
 
@@ -127,7 +127,7 @@ class PathSearch:
     def _ends(self, task: Task, action: np.ndarray) -> list[np.ndarray]:
         """Return the ends of guesses: the goal at each turn of its angles.
 
-        Where goals are not states, the one end is where a constant action leads.
+        Where goals are not states, the only end is the state that a constant action leads to.
         """
         space = self.mdp.space
         if not self._goal_columns:

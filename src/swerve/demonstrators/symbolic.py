@@ -4,7 +4,7 @@ JAX traces a function of vectors into a list of elementary operations, the jaxpr
 applies each operation to arrays of CasADi scalars instead of numbers:
 
     arithmetic     one CasADi operation for each element,
-    rearrangement  JAX moves the positions of the elements, which are then picked,
+    rearrangement  JAX moves the positions of the elements, then the elements are picked,
     calls, loops   their bodies in turn; loops of fixed length are unrolled.
 """
 
@@ -65,8 +65,8 @@ ELEMENTWISE: dict[str, Callable[..., Any]] = {
     "tan": casadi.tan,
     "tanh": casadi.tanh,
 }
-SAME = ("copy", "reduce_precision", "stop_gradient")
-NOT_OF_INTEGERS = ("and", "div", "not", "or")  # of integers, these differ from CasADi's operations
+SAME = ("copy", "reduce_precision", "stop_gradient")  # operations that return their operand
+NOT_OF_INTEGERS = ("and", "div", "not", "or")  # differ from CasADi's operations on integers
 REARRANGING = (
     "broadcast_in_dim",
     "concatenate",
@@ -209,7 +209,7 @@ def _is_integer(variable: Any) -> bool:
 
 
 def _converted(step: Any, operand: np.ndarray) -> np.ndarray:
-    """Return numbers as another type: to integers by truncation, to truths by `!= 0`."""
+    """Return numbers as another type: to integers by truncation, to truth values by `!= 0`."""
     before, after = step.invars[0].aval.dtype, step.params["new_dtype"]
     if np.issubdtype(after, np.integer) and np.issubdtype(before, np.floating):
         return _elementwise(lambda x: casadi.sign(x) * casadi.floor(casadi.fabs(x)), [operand])
@@ -264,7 +264,7 @@ def _reduced(
 
 
 def _product(left: np.ndarray, right: np.ndarray, summed: Any, batched: Any) -> np.ndarray:
-    """Return a product of matrices or vectors, `summed` the axes of each to sum over."""
+    """Return a product of matrices or vectors; `summed` holds the axes of each to sum over."""
     if any(len(axes) for axes in batched):
         raise NotImplementedError("a batched dot_general")
     return np.asarray(np.tensordot(left, right, summed), object)

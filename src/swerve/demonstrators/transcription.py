@@ -23,7 +23,7 @@ from swerve.demonstrators.obstacles import Obstacle, Path
 from swerve.demonstrators.symbolic import as_casadi
 from swerve.problem.mdp import MDP
 
-GAP = 1e-5  # in units of `obstacles_of`: distance from obstacles, above the solver's tolerance
+GAP = 1e-5  # distance from obstacles, in the units of `obstacles_of`; above IPOPT's tolerance
 MAX_ITERATIONS = 200  # of IPOPT for one program
 OPTIONS = {
     "print_time": False,
@@ -122,7 +122,7 @@ class Transcription:
         return self._solvers[key]
 
     def _built(self, obstacles: Sequence[Obstacle]) -> tuple[casadi.Function, np.ndarray]:
-        """Return a new solver and the limits [2, conditions]; places are parameters of it."""
+        """Return a new solver, with places as parameters, and the limits [2, conditions]."""
         (n, m, g), num_steps = self._sizes, self._num_steps
         states = casadi.SX.sym("states", n, num_steps + 1)
         actions = casadi.SX.sym("actions", m, num_steps)

@@ -32,8 +32,8 @@ from swerve.fitting.rewards import total_rewards
 from swerve.inference.ranking import Ranking
 from swerve.problem.problem import Problem
 
-ROUNDING = 1e-5  # relative: total rewards, sums in float32, that are closer count as the same
-MILD = 0.5  # nats: standard deviation of log-weights so small that few samples cannot dominate
+ROUNDING = 1e-5  # relative difference up to which total rewards, sums in float32, are the same
+MILD = 0.5  # nats: log-weights with a smaller standard deviation let no few samples dominate
 NUM_DOWN = 20  # steps from the sampling beta down, in the search for betas to be trusted
 STEP_UP = 1.25  # factor between betas, in the search from the sampling beta up
 MOST_UP = 60  # steps up at most: a factor of 650,000 in beta
@@ -52,9 +52,9 @@ class BetaFit:
       interval: the betas (low, high) whose log L is less than chi2_1(confidence) / 2 below the
         maximum; where beta is infinite, below log L at the highest beta to be trusted. An end that
         lies outside the betas to be trusted is 0 or infinite. Sampling error is left out.
-      standard_error: of beta, from sampling alone; NaN at the boundary.
+      standard_error: standard error of beta, from sampling alone; NaN at the boundary.
       trusted: the betas (low, high) between which enough samples count in every task.
-      confidence: of the interval.
+      confidence: confidence of the interval.
     """
 
     beta: float
@@ -110,10 +110,10 @@ def fit_beta(
     """Estimate beta from demonstrations in which only the known constraints were in force.
 
     Args:
-      problem: the problem of the evidence, with its model; its beta does not matter.
+      problem: the problem of the evidence, with its model; the problem's beta does not matter.
       evidence: samples for the task of each demonstration.
       demonstrations: at least one, with actions; of a tabular MDP, states may be enough.
-      confidence: of the interval.
+      confidence: confidence of the interval, between 0 and 1.
 
     Returns:
       The fit. Doubts about the samples and the demonstrations are in the `warnings` of `infer`.
@@ -294,8 +294,8 @@ def _best(likelihood: Likelihood, trusted: tuple[float, float]) -> float:
         if sign * likelihood.at(edge).score > 0.0:
             raise ValueError(
                 f"the likelihood of the demonstrations is greatest {where} beta {edge:.3g}, for "
-                "which the samples are not to be trusted: sample at that beta (a problem of it, or "
-                f"swerve.sample(nominal, tasks, beta={edge:.3g})) and fit again"
+                "which the samples are not to be trusted: sample at that beta (learn with it, or "
+                f"use swerve.sample(nominal, tasks, beta={edge:.3g})) and fit again"
             )
     return _halved(lambda beta: likelihood.at(beta).score > 0.0, low, high)
 
@@ -315,7 +315,7 @@ def _interval(
 
 
 def _halved(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return, by bisection, the beta up to which a condition holds that holds at the lower beta."""
+    """Return, by bisection, the beta up to which a condition holds; it holds at `low`."""
     for _ in range(NUM_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)

@@ -23,7 +23,7 @@ from swerve.problem.mdp import MDP
 from swerve.problem.problem import Problem
 from swerve.systems.tabular import TabularMDP
 
-DIGITS = 9  # decimals: demonstrations that agree to so many are the same, up to rounding
+DIGITS = 9  # decimals in which two demonstrations must agree to count as the same
 ON_TIME = 1e-3  # of a step: rows as close as this to the MDP's time steps are not interpolated
 
 
@@ -214,7 +214,7 @@ def _until_end(mdp: MDP, demonstration: Demonstration) -> Demonstration:
 
 
 def _only_way(fits: np.ndarray, demonstration: Demonstration) -> np.ndarray:
-    """Return the only action [L-1] that makes each step, from `fits` [L-1, A]: which actions do.
+    """Return the only action [L-1] that makes each step; `fits` [L-1, A] tells which actions do.
 
     Raises:
       ValueError: if several actions make a step.

@@ -31,16 +31,16 @@ from swerve.solvers.base import PolicyNominal
 
 AT_ONCE = 256  # trajectories that go on from the same step, in one call
 NUM_SUFFIXES = 8  # states of each trajectory that are labelled, its first state among them
-# extents of the state space, from least to most: distance of starts from nominal trajectories
+# distance of starts from nominal trajectories, least and most, as a share of the states' extent
 NEARBY = (0.005, 0.15)
-# cumulative shares of the starts: near nominal trajectories, then anywhere, the rest at the starts
-# of tasks (at later steps, near nominal trajectories as well)
+# shares of the starts, added up: near nominal trajectories, then anywhere; the rest at the starts
+# of tasks (at later steps, on nominal trajectories)
 SHARES = (0.5, 0.85)
-# nats. Where a policy is coarse (11 nodes an axis), heavy trajectories outweigh the others: the
-# network is off by 0.024 to 0.031 on average with limits from 1 to 4, by 0.037, 0.052 and 0.060
-# with limits of 5, 7 and 40. Of the limits from 1 to 4 a high one leaves less bias where a policy
-# is poor: shares of 20,000 rollouts of a soft value learned for 200,000 steps are off by 0.053
-# without weights, by 0.023 with a limit of 1 and by 0.011 with 3.
+# nats. A high limit lets a few heavy trajectories outweigh the others: with a coarse policy (11
+# nodes an axis), the network is off by 0.024 to 0.031 on average with limits from 1 to 4, and by
+# 0.037, 0.052 and 0.060 with limits of 5, 7 and 40. A low limit leaves the bias of a poor policy:
+# shares of 20,000 rollouts of a soft value learned for 200,000 steps are off by 0.053 without
+# weights, by 0.023 with a limit of 1 and by 0.011 with a limit of 3.
 MAX_LOG_WEIGHT = 3.0
 
 
@@ -49,7 +49,7 @@ class LabelledStates(NamedTuple):
 
     Attributes:
       state: [R, n].
-      step: [R] at which the trajectory is in the state.
+      step: [R] step at which the trajectory is in the state.
       goal: [R] number of the goal.
       entered: [R, B] packed bits: hypotheses that the rest of the trajectory enters.
       weight: [R] w; 0 for states to be left out.
@@ -74,12 +74,12 @@ def labelled_states(
     """Sample labelled states for all goals.
 
     Args:
-      nominal: whose policies go on.
-      evidence: of the same problem, with the tasks and the nominal trajectories.
+      nominal: nominal distribution whose policies go on.
+      evidence: evidence of the same problem, with the tasks and the nominal trajectories.
       goals: [G, g].
       goal_of: [K] number of each task's goal.
-      num_trajectories: for each goal; rounded up to a multiple of AT_ONCE.
-      seed: of everything random.
+      num_trajectories: number for each goal; rounded up to a multiple of AT_ONCE.
+      seed: seed of everything random.
       advance: called with 1 for each policy that is ready, and for each goal that is done.
     """
     generator = np.random.default_rng(seed)
@@ -110,10 +110,10 @@ def _starts(
     """Return states [N, n] from which to go on at a step.
 
     Args:
-      problem: that has these states.
+      problem: problem with these states.
       kept: [M, T+1, n] nominal trajectories.
-      starts: [K, n] of tasks.
-      step: at which to go on.
+      starts: [K, n] starts of tasks.
+      step: step at which to go on.
       generator: source of randomness.
     """
     num_near, num_before_tasks = (int(share * AT_ONCE) for share in SHARES)

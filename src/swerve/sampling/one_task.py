@@ -32,12 +32,12 @@ class SamplingJob(NamedTuple):
 
     Attributes:
       problem: the problem that the policy was learned for.
-      record: of the problem whose pi_0 is wanted; its beta may differ from that of `problem`.
-      policy: of the task's goal.
+      record: record of the problem whose pi_0 is wanted, perhaps with another beta than `problem`.
+      policy: policy of the task's goal.
       task: start [n] and goal [g].
       num_trajectories: N.
       method: one of the names in `evidence.samples`.
-      seed: of the sampling.
+      seed: seed of the sampling.
     """
 
     problem: Problem
@@ -68,7 +68,7 @@ class _Chunk(NamedTuple):
     """Some of the trajectories of a task.
 
     Attributes:
-      numbers: that determine the weights of the trajectories.
+      numbers: numbers that determine the weights of the trajectories.
       violations: [N, B] packed bits.
       kept: [M, T+1, n] a few whole trajectories, chosen by weight.
       log_total: log of the sum of the weights of all N trajectories, nats.
@@ -106,8 +106,8 @@ def sample_task(job: SamplingJob, run_all: Callable, advance: Callable[..., None
         chunk.numbers.ancestor[:] += first
     rows = [(*chunk.numbers, chunk.violations) for chunk in chunks]
     columns = [np.concatenate(part)[None] for part in zip(*rows, strict=True)]
-    # a point in the cumulative weight of all chunks falls on a chunk, and on a point in the
-    # cumulative weight of that chunk
+    # a point of the cumulative weight of all chunks falls on one chunk, and there on a point of the
+    # cumulative weight of this chunk
     chunk, within = _at(_points(), np.array([chunk.log_total for chunk in chunks]))
     place = np.minimum((within * NUM_KEPT).astype(int), NUM_KEPT - 1)
     kept = np.stack([chunks[c].kept[k] for c, k in zip(chunk, place, strict=True)])

@@ -3,12 +3,12 @@
 Where all samples enter c, they tell only that Z_c / Z_0 is small. Where two or three samples avoid
 c, the ratio is left to chance. Then Z_c is estimated with c in force: the solver adapts its soft
 value to pi_c, the policy of the MDP with c among the known constraints, and sequential Monte Carlo
-with the adapted soft value gives Z_c,
+with the adapted soft value gives Z_c, however small:
 
-    log(Z_c / Z_0) = log Z_c - log Z_0,
+    log(Z_c / Z_0) = log Z_c - log Z_0.
 
-however small. Only the hypotheses that matter are resolved: those that no demonstration enters and
-that the samples leave open, in the tasks of the demonstrations.
+Only the hypotheses that matter are resolved: hypotheses that no demonstration enters and that the
+samples leave open, in the tasks of the demonstrations.
 
 Shapes: K tasks, H hypotheses, I islands.
 """
@@ -31,10 +31,10 @@ from swerve.inference.scores import SETTLED
 from swerve.sampling.sample import sample
 from swerve.solvers.base import AdaptingSolver, Nominal
 
-# sampled for a task and a hypothesis: the second number where the first leaves too large an error
+# trajectories for a task and a hypothesis: the second number if the first leaves too large an error
 NUM_TRAJECTORIES = 2_000, 10_000
-LEAST_SHARE = 0.05  # of these that must be effective: with fewer, Z_c is estimated too low
-UNLIKELY = 1e-3  # probability of as few or as many samples that avoid c: less refutes a ratio
+LEAST_SHARE = 0.05  # share of these that must be effective: with fewer, Z_c is estimated too low
+UNLIKELY = 1e-3  # a ratio is refuted if as few, or as many, samples avoid c with less probability
 
 
 def resolve(
@@ -49,15 +49,15 @@ def resolve(
 
     Args:
       nominal: the nominal distribution that the evidence was sampled from.
-      inference: from evidence in which almost no trajectory avoids some hypotheses; hypotheses that
-        it strikes out are left out.
-      seed: of everything random.
+      inference: ranking from evidence in which almost no trajectory avoids some hypotheses;
+        hypotheses that are struck out stay as they are.
+      seed: seed of everything random.
       progress: whether to show a progress bar.
-      keep: called with the evidence so far after each hypothesis: all of them may take long.
+      keep: called with the evidence so far after each hypothesis, since all may take long.
 
     Returns:
-      The evidence of the inference, with estimates in place of bounds and of ratios that two or
-      three trajectories tell. A bound or such a ratio remains where even with c in force no
+      The evidence of the inference, with estimates in place of bounds, and in place of ratios known
+      from two or three trajectories alone. The old value remains where even with c in force no
       trajectory avoids c, or the error of Z_c stays too large: `log_ratio_error` of the summary is
       then infinite.
 
@@ -67,14 +67,14 @@ def resolve(
     if not isinstance(nominal.solver, AdaptingSolver):
         adapting = ", ".join(solver_names(lambda kind: kind.adapts))
         raise ValueError(
-            f"nominal: expected one of a solver with a soft value that adapts ({adapting}), got "
+            f"nominal: expected one by a solver with a soft value that adapts ({adapting}), got "
             f"{nominal.solver.name!r}"
         )
     evidence = inference.evidence
     if nominal.problem.record.fingerprint != evidence.problem.fingerprint:
         raise ValueError(
-            f"the evidence is of another problem, {evidence.problem.summary}, than the nominal, "
-            f"{nominal.problem.record.summary}"
+            f"the evidence is of another problem than the nominal: {evidence.problem.summary}, "
+            f"not {nominal.problem.record.summary}"
         )
     is_open = inference.is_open
     hypotheses = np.flatnonzero(is_open.any(axis=0)).tolist()
@@ -90,7 +90,7 @@ def resolve(
 def _resolved(
     nominal: Nominal, evidence: Evidence, index: int, tasks: list[int], seed: int
 ) -> Evidence:
-    """Return evidence with the ratio of one hypothesis, in those of the tasks where it settles."""
+    """Return evidence with the ratio of one hypothesis, in the tasks in which the ratio settles."""
     chosen = evidence.select(tasks)
     log_ratio, error = _ratio(nominal, chosen, index, seed)
     settled = np.isfinite(error)
@@ -135,7 +135,7 @@ def _ratio(
 
 
 def _settled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
-    """Return evidence of one task whose log Z has a small error, None if no sampling gives one."""
+    """Return evidence of one task whose log Z has a small error; None if sampling gives none."""
     for num in NUM_TRAJECTORIES:
         try:
             evidence = sample(nominal, task, num, method="smc", seed=seed)

@@ -49,19 +49,19 @@ def sample(
     """Sample trajectories of each task and judge them against every hypothesis.
 
     Args:
-      nominal: from `learn`.
+      nominal: result of `learn`.
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
       num_trajectories: N for each task; exact solvers ignore it.
       method: "importance" weighs each trajectory by target over proposal: right however imperfect
         the policy, as long as it reaches all modes. "smc" also resamples trajectories by weight on
         the way (sequential Monte Carlo; N is rounded up to a multiple of 20); it needs a soft value
-        ("grid", "soft-value", "distilled") and is the default where there is one. "plain" weighs
-        all alike, as the paper does. Exact solvers take no method.
-      beta: of the demonstrator, where it is not the beta learned for. A soft value that was learned
-        for a span of beta is used directly; otherwise trajectories are tempered to this beta (the
-        paper, Theorem 2; see `tempering`), whatever the policy, and `method` is left out. Where
-        beta is near, `Evidence.at_beta` is quicker.
-      seed: of the sampling. A task's trajectories depend on the seed and the task alone.
+        ("grid", "soft-value", "distilled") and is the default for these solvers. "plain" weighs
+        all trajectories alike, as the paper does. Exact solvers take no method.
+      beta: beta of the demonstrator, if it is not the beta learned for. A soft value that was
+        learned for a span of beta is used directly; otherwise trajectories are tempered to this
+        beta (the paper, Theorem 2; see `tempering`), whatever the policy, and `method` is left out.
+        For a beta near the one learned for, `Evidence.at_beta` is quicker.
+      seed: seed of the sampling. A task's trajectories depend on the seed and the task alone.
       progress: whether to show a progress bar.
 
     Returns:
@@ -107,8 +107,8 @@ def sample_each(
     if beta is not None:
         if method not in (None, TEMPERED):
             raise ValueError(
-                f"method: another beta than the one learned for is reached by {TEMPERED!r}, so "
-                f"leave {method!r} out"
+                f"method: {TEMPERED!r} is the only one for a beta that was not learned, so leave "
+                f"{method!r} out"
             )
         method = TEMPERED
     if isinstance(nominal, ExactNominal):
@@ -174,7 +174,7 @@ def _sample_each(
     seed = whole_number(seed, "seed", 0)
     _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
-    total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs about as much
+    total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs as much as a task
     workers = ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0)))
     with workers, progress_bar("sampling", total, progress) as advance:
         policies = nominal.policies(goals, lambda share: advance(share * num_trajectories))
@@ -212,7 +212,7 @@ def _sampled(job: SamplingJob, samples: Samples, nominal: PolicyNominal) -> Evid
 
 @contextmanager
 def _naming(k: int, task: Task) -> Iterator[None]:
-    """Name the task in the message of any error that it raises."""
+    """Put the task into the message of a ValueError that is raised inside the block."""
     try:
         yield
     except ValueError as error:

@@ -32,7 +32,7 @@ from swerve.problem.problem import Problem
 from swerve.simulation.policies import LOWEST, ValuedPolicy, log_measure
 from swerve.simulation.trajectory import Trajectory, sample_action, take_step
 
-RESAMPLED = 0.5  # share of an island's particles: with fewer effective ones it is resampled
+RESAMPLED = 0.5  # share of its particles: an island with fewer effective ones is resampled
 
 
 class Particles(NamedTuple):
@@ -40,8 +40,8 @@ class Particles(NamedTuple):
 
     Attributes:
       trajectory: N of them, followed back to the start.
-      log_weight: [N] log of the weight of each, nats: the mean over an island's particles of its
-        exponential is an unbiased estimate of Z_0.
+      log_weight: [N] log of the weight of each, nats: the mean weight of an island's particles is
+        an unbiased estimate of Z_0.
       root: [N] number, within its island, of the particle at the start that each comes from.
     """
 
@@ -55,9 +55,9 @@ class _Particle(NamedTuple):
 
     Attributes:
       root: number, within its island, of the particle at the start that each comes from.
-      log_weight: gained since the last resampling, nats.
-      owed: what the last step adds to `log_weight`, except the value of the state that it led to,
-        nats.
+      log_weight: log-weight gained since the last resampling, nats.
+      owed: part of the log-weight that the last step adds, still without the value of the state
+        that the step led to, nats.
     """
 
     state: Array
@@ -83,8 +83,8 @@ def smc_rollout(
 
     Args:
       policy: proposes the actions, with a soft value.
-      start: of all particles.
-      goal: of all particles.
+      start: start of all particles.
+      goal: goal of all particles.
       key: source of randomness.
       num_islands: I, static.
       num_particles: P of an island, static.
@@ -200,7 +200,7 @@ def _resampled(
 
 
 def _systematic(weight: Float[Array, " P"], offset: Float[Array, ""]) -> Int[Array, " P"]:
-    """Return P indices sampled by weight: even steps through its sum, from one uniform number."""
+    """Return P indices sampled by weight: even steps through the sum, from one uniform number."""
     num = len(weight)
     cumulative = jnp.cumsum(weight)
     points = (jnp.arange(num) + offset) / num * cumulative[-1]

@@ -1,4 +1,4 @@
-"""Temper trajectories of pi_0: turn those at one inverse temperature into those at another.
+"""Temper trajectories of pi_0: take them from one inverse temperature to another.
 
     pi_b(xi) = m exp(b R(xi)) / Z_b,        Z_b' / Z_b = E_b[exp((b' - b) R)]
 
@@ -65,7 +65,7 @@ def temper(
       beta: inverse temperature of the trajectories to return.
       num_islands: I.
       num_particles: P of an island.
-      seed: of everything random.
+      seed: seed of everything random.
 
     Returns:
       N = I P particles; those of an island follow one another and have the same weight.

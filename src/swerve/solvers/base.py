@@ -51,7 +51,7 @@ class PolicyNominal(Nominal, Protocol):
 
         Args:
           goals: [G, g].
-          advance: called with the number of goals, perhaps a fraction, done since the last call.
+          advance: called with the number of goals done since the last call; may be a fraction.
         """
         ...
 
@@ -70,7 +70,7 @@ class ManyBetasNominal(Nominal, Protocol):
 
 
 class LearnOptions(NamedTuple):
-    """The options of `Solver.learn`, which describes them."""
+    """The options of `Solver.learn`; see there."""
 
     tasks: Task | None = None
     seed: int = 0
@@ -101,22 +101,22 @@ class Solver(abc.ABC, Generic[N]):
     ) -> N:
         """Learn the nominal distribution of a problem.
 
-        Solvers that do not train learn nothing here: their nominal distributions compute when a
-        task is asked for, nothing in them is random, and only `problem` matters.
+        Solvers that do not train use `problem` alone: they compute when a task is sampled, and
+        nothing that they compute is random.
 
         Args:
           problem: what to learn.
-          tasks: those on which KL and ESS are estimated while training, as for `sample`; sampled
+          tasks: tasks on which KL and ESS are estimated while training, as for `sample`; sampled
             from the MDP if None.
-          seed: of everything random.
+          seed: seed of everything random.
           progress: whether to show a bar with steps per second, KL, ESS and residual.
           checkpoint: file that is written after every chunk of training, and from which an
-            interrupted training goes on; None for neither.
+            interrupted training goes on; None to write and read no file.
 
         Raises:
           ValueError: if this solver cannot solve the problem, the checkpoint is of another run, the
-            MDP returned a number that is not finite, training diverged from the beginning, or no
-            episode that the MDP samples can begin.
+            MDP returned a number that is not finite, training diverged from the beginning, or
+            hardly any episode that the MDP samples can begin.
         """
         self.check(problem)
         return self._learn(problem, LearnOptions(tasks, seed, progress, checkpoint))
@@ -130,12 +130,15 @@ class Solver(abc.ABC, Generic[N]):
         """Raise ValueError if this solver cannot solve the problem, before any work."""
 
     def restore(self, problem: Problem, arrays: dict[str, np.ndarray]) -> N:
-        """Rebuild a nominal distribution from its stored `arrays`: by default there are none."""
+        """Rebuild a nominal distribution from its stored `arrays`.
+
+        By default no arrays are stored: the problem is learned again.
+        """
         return self.learn(problem)
 
     @property
     def kind(self) -> SolverKind:
-        """What the table of solvers says of this one."""
+        """Kind of this solver, from the table of solvers."""
         return kind_named(self.name)
 
     def check_dimensions(self, problem: Problem) -> None:
@@ -154,10 +157,10 @@ class AdaptingSolver(Solver[N]):
 
     @abc.abstractmethod
     def adapted(self, nominal: N, problem: Problem, seed: int) -> Iterator[N]:
-        """Yield nominal distributions of a problem with more known constraints, ever better ones.
+        """Yield nominal distributions of a problem with more known constraints, the best last.
 
         Args:
           nominal: nominal distribution of the problem without these constraints.
           problem: problem with the constraints in force.
-          seed: of everything random.
+          seed: seed of everything random.
         """

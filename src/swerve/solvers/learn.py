@@ -1,6 +1,6 @@
 """Learn the nominal distribution pi_0 of a problem, and keep it in a file.
 
-Which solvers there are, `swerve.base.solver_kinds` says; the module of a solver is imported when
+The table in `swerve.base.solver_kinds` lists the solvers. The module of a solver is imported when
 the solver is used.
 """
 
@@ -42,9 +42,9 @@ def learn(
       solver: a solver such as `swerve.PPO(num_steps=20_000_000)`, or its name, with settings as in
         "ppo?num_steps=2e7"; None takes tables if the MDP is tabular, else the grid for up to 3
         state dimensions, else soft value networks.
-      tasks: those on which solvers that train report their progress, as for `sample`; sampled from
+      tasks: tasks on which solvers that train report their progress, as for `sample`; sampled from
         the MDP if None.
-      seed: of everything random.
+      seed: seed of everything random.
       progress: whether to show a progress bar.
       checkpoint: a file that training writes as it goes, and from which an interrupted training
         goes on.
@@ -89,7 +89,7 @@ def resolve_solver(text: str) -> Solver[Any]:
 
 
 def default_solver(problem: Problem) -> str:
-    """Return the name of the solver for a problem when none is asked for."""
+    """Return the name of the solver that `learn` takes for a problem if none is named."""
     is_tabular = isinstance(problem.mdp, TabularMDP)
     return suggested_solver(is_tabular, len(problem.mdp.state_names))
 
@@ -127,6 +127,6 @@ def load_nominal(path: str | Path, problem: Problem) -> Nominal:
 
 
 def _solver_class(name: str) -> type[Solver[Any]]:
-    """Import the class of a solver by its name in the table."""
+    """Import and return the class of a solver, by its name in the table."""
     module, _, class_name = KINDS[name].path.partition(":")
     return getattr(importlib.import_module(module, "swerve.solvers"), class_name)

@@ -27,8 +27,8 @@ from swerve.solvers.base import LearnOptions, Solver
 from swerve.solvers.exact.tabular import States, TableNominal, check_size
 
 RULES = ("centre", "majority")
-DEFAULT_CELLS = {1: 400, 2: 60, 3: 24, 4: 12}  # along each axis
-DEFAULT_STEPS = 50  # of an episode
+DEFAULT_CELLS = {1: 400, 2: 60, 3: 24, 4: 12}  # cells along each axis, by number of dimensions
+DEFAULT_STEPS = 50  # choices of an action in an episode, about
 ROUNDING = 1e-6  # rad by which the range of an angle may differ from a full turn
 
 
@@ -40,7 +40,7 @@ class Discrete(Solver[TableNominal]):
       num_cells: cells along each axis, or 0 for 400, 60, 24 or 12 in 1, 2, 3 or 4 dimensions.
       hold: steps of the MDP for which an action is held, or 0 for about 50 choices an episode.
       low: where the grid begins along each axis; () for the bounds, and a full turn of angles.
-      high: where the grid ends. States beyond the grid count as those of the cell at the edge.
+      high: where the grid ends. A state beyond the grid counts as one of the cell at the edge.
       rule: "centre": the successor is the cell that the centre of a cell leads to; "majority": the
         cell that most of 2^n + 1 points of a cell lead to.
     """
@@ -60,7 +60,7 @@ class Discrete(Solver[TableNominal]):
         else:
             whole_number(self.num_cells, "Discrete: num_cells", 0)
         whole_number(self.hold, "Discrete: hold", 0)
-        for name in ("low", "high"):  # a file may hold them as lists
+        for name in ("low", "high"):  # settings from a file are lists
             values = getattr(self, name)
             if not isinstance(values, Iterable) or not all(map(np.isfinite, values)):
                 raise ValueError(
@@ -142,12 +142,12 @@ class Discrete(Solver[TableNominal]):
         return self.hold or max(1, round(problem.mdp.num_steps / DEFAULT_STEPS))
 
     def _num_steps(self, problem: Problem) -> int:
-        """Return the number of choices that comes nearest to an episode of the MDP."""
+        """Return the number of choices that lasts about as long as an episode of the MDP."""
         return max(1, round(problem.mdp.num_steps / self._hold(problem)))
 
 
 class Cells:
-    """A regular grid of cells; an angle wraps where the grid covers a full turn of it.
+    """A regular grid of cells; an angle wraps if the grid covers a full turn of the angle.
 
     Args:
       space: names and angles of the states.
@@ -171,7 +171,7 @@ class Cells:
         return self.low + (np.stack(index, axis=-1) + 0.5) * self.width
 
     def number(self, states: np.ndarray) -> np.ndarray:
-        """Return the cell [...] of states [..., n]; beyond the edge, the cell at the edge."""
+        """Return the cell [...] of states [..., n]; the cell at the edge for states beyond it."""
         middle = self.low + 0.5 * self.width * np.array(self.shape)
         nearest = middle + (states - middle + math.pi) % TWO_PI - math.pi
         states = np.where(self.is_part, nearest, states)
@@ -186,7 +186,7 @@ Held = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 
 
 def _held(problem: Problem, hold: int) -> Held:
-    """Return the step of an action held for `hold` steps; a state where an episode ends stays."""
+    """Return the function that holds an action for `hold` steps, or until the episode ends."""
     mdp = problem.mdp
 
     def hold_action(state: jax.Array, action: jax.Array, goal: jax.Array) -> tuple:
@@ -231,5 +231,5 @@ def _successors(cells: Cells, held: Held, problem: Problem, rule: str) -> np.nda
     votes = np.zeros(candidates.shape)
     for candidate in candidates:
         votes += candidates == candidate
-    votes[0] += 0.5  # of cells with equally many votes, the one that the centre leads to
+    votes[0] += 0.5  # where cells have equally many votes, the cell that the centre leads to wins
     return np.take_along_axis(candidates, votes.argmax(axis=0)[None], axis=0)[0]

@@ -2,12 +2,13 @@
 
     Z_0 = sum_xi m(xi) exp(beta R(xi)),    Z_c = sum_xi m(xi) exp(beta R(xi)) 1[xi avoids c],
 
-over the A^T action sequences; those that differ only after the end of an episode are one
+over the A^T action sequences. Sequences that differ only after the end of an episode are one
 trajectory. Sequences that begin alike form a tree. A node of the tree is a path so far. All actions
-expand a node at once: the reward of the step is added to that of the path, and what the new segment
-of two states enters to what the path has entered. Nodes are expanded in blocks, breadth first while
-there are few and depth first from there, so that memory does not grow with A^T. The code of a path
-is the number whose digits to base A are its actions.
+expand a node at once: the reward of the step is added to the reward of the path, and the hypotheses
+that the new segment enters are added to the hypotheses that the path has entered. Nodes are
+expanded in blocks, breadth first while there are few nodes and depth first afterwards, so that
+memory does not grow with A^T. The code of a path is the number whose digits to base A are its
+actions.
 
 Shapes: N nodes or leaves, A actions, T steps, n states, H hypotheses, B = ceil(H / 8) bytes,
 M = NUM_KEPT trajectories sampled, S sets of hypotheses.
@@ -76,7 +77,7 @@ class Enumeration(Solver["EnumerationNominal"]):
         """Raise ValueError where there are too many action sequences, before any work."""
         num_actions, num_steps = problem.mdp.num_actions, problem.mdp.num_steps
         digits = num_steps * math.log10(num_actions)
-        # a power of more digits than a float holds is not computed
+        # a power with more digits than a float holds is not computed
         num_sequences = num_actions**num_steps if digits < 20 else math.inf
         if num_sequences > self.max_sequences:
             size = f"{num_sequences:,}" if digits < 20 else f"10^{digits:.0f}"
@@ -109,7 +110,7 @@ class EnumerationNominal:
     ) -> ExactAnswer:
         """Return log Z_0, Z_c / Z_0 and trajectories from pi_0; see `ExactNominal`.
 
-        Where no trajectory is allowed, log Z_0 is -inf, Z_c / Z_0 NaN, and none is kept.
+        Where no trajectory is allowed, log Z_0 is -inf, Z_c / Z_0 is NaN, and none is kept.
 
         Raises:
           ValueError: if the MDP returns NaN, an infinite state or a reward of +inf.
@@ -136,10 +137,10 @@ class EnumerationNominal:
 
         Args:
           task: start [n] and goal [g].
-          avoiding: S sets, each the indices of its hypotheses; log Z_0 for an empty one.
+          avoiding: S sets, each the indices of its hypotheses; an empty set gives log Z_0.
 
         Returns:
-          [S] in nats, -inf where nothing avoids the set.
+          [S] in nats, -inf where no trajectory avoids the set.
 
         Raises:
           ValueError: if the task or an index does not fit the problem, or as for `answer`.
@@ -171,7 +172,7 @@ class _Nodes(NamedTuple):
     code: np.ndarray
 
     def at(self, rows: np.ndarray | slice) -> _Nodes:
-        """Return some of them."""
+        """Return the paths of some rows."""
         return _Nodes(*(column[rows] for column in self))
 
 
@@ -193,7 +194,7 @@ class _Leaves(NamedTuple):
     log_weight: np.ndarray
 
     def at(self, rows: np.ndarray | slice) -> _Leaves:
-        """Return some of them."""
+        """Return the trajectories of some rows."""
         return _Leaves(*(column[rows] for column in self))
 
 
@@ -234,7 +235,7 @@ def _root(problem: Problem, start: np.ndarray) -> _Nodes:
 def _expand(
     problem: Problem, goal: np.ndarray, step: int, nodes: _Nodes
 ) -> tuple[_Nodes, np.ndarray]:
-    """Return the allowed paths that are one step longer, and which of these [N] have ended."""
+    """Return the allowed paths that are one step longer, and whether each [N] has ended."""
     mdp, hypotheses = problem.mdp, problem.hypotheses
     states, rewards, endings = _take_steps(problem, nodes.state, step, goal)
     wrong = ~np.isfinite(states).all(axis=-1) | np.isnan(rewards) | np.isposinf(rewards)
@@ -265,7 +266,7 @@ def _take_steps(
     """Return next states, rewards and endings [N, A, ...] of all actions in states [N, n]."""
     size = LEAST_PADDED
     while size < len(states):
-        size *= 8  # few sizes, since each is compiled
+        size *= 8  # few sizes, since each size is compiled
     padded = np.resize(states, (size, states.shape[1]))
     taken = _take_all(problem, jnp.asarray(padded), jnp.int32(step), jnp.asarray(goal, jnp.float32))
     return tuple(np.asarray(column)[: len(states)] for column in taken)
@@ -305,7 +306,7 @@ def _weighed(problem: Problem, length: int, nodes: _Nodes) -> _Leaves:
 
 
 def _log_masses(leaves: _Leaves, num_hypotheses: int) -> np.ndarray:
-    """Return the log of the weight [1 + H] of all trajectories and of those that avoid each."""
+    """Return the log-weight [1 + H] of all leaves, and of the leaves that avoid each hypothesis."""
     found = estimators.avoid_probability(leaves.log_weight, leaves.violations, num_hypotheses)
     shares = np.concatenate([[1.0], found.avoid_probability])
     with np.errstate(divide="ignore"):  # where none of these trajectories avoids a hypothesis
@@ -317,8 +318,8 @@ def _resampled(
 ) -> _Leaves:
     """Replace each of M trajectories, with probability `share`, by a new one sampled by weight.
 
-    If the new ones have that share of the total weight so far, each result is sampled by weight
-    from all trajectories so far.
+    If `share` is the share of the new trajectories in the total weight so far, the results are
+    samples by weight from all trajectories so far.
     """
     cumulative = np.cumsum(estimators.normalise(leaves.log_weight))
     points = cumulative[-1] * generator.random(NUM_KEPT)

@@ -6,7 +6,7 @@
 on the states of a table, computed as in `walks`: no sampling, no horizon and no error. The result
 is pi_0 of the MDP if walks end before its horizon, which is checked.
 
-Shapes: S states of the table, P of them between which there are steps, A actions, M steps, K tasks,
+Shapes: S states of the table, P of these that steps leave or reach, A actions, M steps, K tasks,
 H hypotheses, B = ceil(H / 8) bytes, N trajectories, T steps of the horizon.
 """
 
@@ -56,7 +56,7 @@ class SoftPaths(Solver["PathNominal"]):
         return PathNominal(problem, self, self._maker(problem).learn(problem))
 
     def check(self, problem: Problem) -> None:
-        """Raise ValueError where `tabular` or `discrete`, which makes the table, would."""
+        """Raise ValueError if `tabular` or `discrete` cannot make the table."""
         self._maker(problem).check(problem)
 
     def _maker(self, problem: Problem) -> Tabular | Discrete:
@@ -72,7 +72,7 @@ class PathNominal:
     Attributes:
       problem: problem that was learned.
       solver: solver that learned the problem.
-      table: states and steps, which do not depend on beta: the beta of the table may be another.
+      table: states and steps, which do not depend on beta: the table's own beta may differ.
     """
 
     problem: Problem
@@ -85,7 +85,7 @@ class PathNominal:
         return {}
 
     def at_beta(self, beta: float) -> PathNominal:
-        """Return the nominal distribution of another beta, sharing what beta does not change."""
+        """Return the nominal distribution of another beta, with the same attributes SHARED."""
         other = PathNominal(dataclasses.replace(self.problem, beta=beta), self.solver, self.table)
         other.__dict__.update({name: getattr(self, name) for name in SHARED})
         return other
@@ -99,12 +99,12 @@ class PathNominal:
     ) -> ExactAnswer:
         """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories sampled from pi_0.
 
-        With hypotheses C in force, by `avoiding`, the answer is log Z_C, P(avoid c | avoid C) and
-        trajectories sampled from pi_C.
+        With the hypotheses C of `avoiding` in force, the answer is log Z_C, P(avoid c | avoid C)
+        and trajectories sampled from pi_C.
 
         Raises:
           ValueError: if walks of all lengths have no finite sum, no walk arrives, or more than a
-            few are longer than the horizon.
+            few walks are longer than the horizon.
         """
         walks, start, ends = self._walks(avoiding), self._start(task), self._ends(task)
         values = walks.values(ends)
@@ -125,7 +125,7 @@ class PathNominal:
         total = walks.values(ends)[start]
         if not total > SMALLEST:
             raise ValueError(
-                f"{_of(task)}: no walk that weighs anything, Z = {total:.3g}: known constraints "
+                f"{_of(task)}: no walk has any weight, Z = {total:.3g}: known constraints "
                 f"are in the way, or beta {self.problem.beta:g} is too large for such a distance"
             )
         with np.errstate(divide="ignore"):
@@ -134,7 +134,7 @@ class PathNominal:
     def _walks(self, avoiding: Sequence[int]) -> Walks:
         """Return the walks that avoid some hypotheses; the last NUM_FOUND sets are kept."""
         key = tuple(sorted(avoiding))
-        pack_sets([key], len(self.problem.hypotheses))  # raises unless it lists indices
+        pack_sets([key], len(self.problem.hypotheses))  # raises unless these are indices
         walks = self._found.pop(key, None) or self._walks_of(key)
         self._found[key] = walks
         while len(self._found) > NUM_FOUND:
@@ -210,7 +210,7 @@ class PathNominal:
         """Return the number of the state, among the P, nearest to a start.
 
         Raises:
-          ValueError: if no state is as near to the start as the longest step is long.
+          ValueError: if every state is further from the start than the longest step is long.
         """
         own = np.searchsorted(self._states, number := self.table.start(task))
         if own < len(self._states) and self._states[own] == number:
@@ -232,15 +232,15 @@ class PathNominal:
         """
         if (self.table.rewards(task.goal) != self._rewards)[self.table.allowed].any():
             raise ValueError(
-                f"soft-paths: expected rewards that do not depend on the goal, as distances do; "
-                f"those of {type(self.problem.mdp).__name__} do: use another solver"
+                "soft-paths: expected rewards that do not depend on the goal, such as distances; "
+                f"the rewards of {type(self.problem.mdp).__name__} depend on it: use another solver"
             )
         terminal, ended = (values[self._states] for values in self.table.ends(task.goal))
         if np.isfinite(terminal[~ended]).any():
             raise ValueError(
                 "soft-paths: expected a terminal_reward of -inf where an episode has not ended, "
-                f"since walks are of any length; {type(self.problem.mdp).__name__} has another: "
-                "use another solver"
+                "since walks may have any length; the terminal_reward of "
+                f"{type(self.problem.mdp).__name__} is finite there: use another solver"
             )
         states = np.flatnonzero(ended & np.isfinite(terminal))
         if not len(states):

@@ -7,8 +7,8 @@ With m the base measure of a step and all rewards times beta, in nats,
 
 The forward pass carries, for each hypothesis, the mass of the trajectories that have not entered
 the hypothesis so far; the mass at the end is Z_c / Z_0. (The paper adds up the mass that has
-entered. The result is the same, but this one keeps all its digits where hardly any trajectory
-avoids the hypothesis.)
+entered. Z_c / Z_0 is the same, but here it keeps all its digits where hardly any trajectory avoids
+the hypothesis.)
 
 Shapes: S states, A actions, T steps, K hypotheses, M trajectories.
 """
@@ -29,8 +29,8 @@ class Table:
     """A deterministic MDP with one goal, as tables in nats.
 
     Attributes:
-      successors: [S, A] the state that an action leads to, any state where it is not allowed.
-      reward: [S, A] beta r + log m of an action; -inf where it is not allowed.
+      successors: [S, A] the state that an action leads to; any state if it is not allowed.
+      reward: [S, A] beta r + log m of an action; -inf where the action is not allowed.
       terminal: [S] beta r_T; -inf where an episode must not end.
       ended: [S] whether an episode ends here before the horizon.
       num_steps: T.
@@ -114,7 +114,7 @@ class Table:
 
 
 def _log_sum_exp(values: np.ndarray) -> np.ndarray:
-    """Return log sum exp [S] over the last axis of [S, A]; -inf where all are."""
+    """Return log sum exp [S] over the last axis of [S, A]; -inf where all values are."""
     largest = values.max(axis=-1)
     finite = np.where(np.isneginf(largest), 0.0, largest)
     with np.errstate(divide="ignore"):

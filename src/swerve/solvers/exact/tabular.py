@@ -52,13 +52,13 @@ class Tabular(Solver["TableNominal"]):
         )
 
     def check(self, problem: Problem) -> None:
-        """Raise ValueError where `learn` would."""
+        """Raise ValueError if the MDP is not tabular, or its tables would not fit memory."""
         mdp = problem.mdp
         if not isinstance(mdp, TabularMDP):
             raise ValueError(
-                f"the tabular solver needs a tabular MDP, such as Gridworld or what "
-                f"swerve.tabular makes, got {type(mdp).__name__}: use solver 'discrete', which "
-                "makes a table of it, or another"
+                f"the tabular solver needs a tabular MDP, such as Gridworld or a result of "
+                f"swerve.tabular, got {type(mdp).__name__}: use solver 'discrete', which makes a "
+                "table of the MDP, or another solver"
             )
         check_size(mdp.num_states, mdp.num_actions, mdp.num_steps, len(problem.hypotheses))
 
@@ -81,9 +81,9 @@ class States(NamedTuple):
 
     Attributes:
       states: [S, n] where they lie.
-      successors: [S, A] the state that each action leads to, negative where it is not offered.
+      successors: [S, A] the state that each action leads to, negative for actions not offered.
       num_steps: T.
-      number: maps states [..., n] to the number of the nearest [...].
+      number: maps states [..., n] to the numbers [...] of the nearest states of the table.
       step: duration of an action, seconds.
     """
 
@@ -124,8 +124,8 @@ class TableNominal:
     ) -> ExactAnswer:
         """Return log Z_0, Z_c / Z_0 of every hypothesis and trajectories sampled from pi_0.
 
-        With hypotheses C in force, by `avoiding`, the answer is log Z_C, P(avoid c | avoid C) and
-        trajectories sampled from pi_C.
+        With the hypotheses C of `avoiding` in force, the answer is log Z_C, P(avoid c | avoid C)
+        and trajectories sampled from pi_C.
         """
         start, goal_table = self.start(task), self.goal_table(task.goal, avoiding)
         log_partition = float(goal_table.values[0, start])
@@ -158,12 +158,12 @@ class TableNominal:
 
         Args:
           task: start [n] and goal [g].
-          avoiding: sets of hypotheses, by index; an empty one gives log Z_0.
+          avoiding: sets of hypotheses, by index; an empty set gives log Z_0.
 
         Raises:
           ValueError: if the task or an index does not fit the problem.
         """
-        pack_sets(avoiding, len(self.problem.hypotheses))  # raises unless sets of indices
+        pack_sets(avoiding, len(self.problem.hypotheses))  # raises unless these are indices
         return self._log_partitions(checked_task(self.problem, task), avoiding)
 
     def _log_partitions(self, task: Task, avoiding: Sequence[Sequence[int]]) -> np.ndarray:
@@ -195,9 +195,9 @@ class TableNominal:
         )
 
     def goal_table(self, goal: np.ndarray, avoiding: Sequence[int] = ()) -> Table:
-        """Return the table of one goal, in nats, for what is allowed.
+        """Return the table of one goal, in nats, with the allowed steps alone.
 
-        Steps that enter a known constraint, or a hypothesis in force by `avoiding`, are left out.
+        Steps that enter a known constraint, or a hypothesis of `avoiding`, are left out.
         """
         [members] = pack_sets([avoiding], len(self.problem.hypotheses))
         allowed = self.allowed & ~enters_set(self.bits, members).reshape(self.allowed.shape)

@@ -5,18 +5,19 @@ state to another have the sum of weights
 
     G = 1 + w + w w + ... = (1 - w)^-1,
 
-and those that end where they first come to one of the states E, with weights v of their own there,
+and the walks that end where they first reach one of the states E, with a weight v for each end,
+have the sum
 
     Z(s) = G[s, E] G[E, E]^-1 v.
 
-A hypothesis c takes away the few steps w_c that enter it, which lead from states A to states B:
+A hypothesis c takes away the few steps w_c that enter c. They lead from states A to states B:
 
     G_c = (1 - w + w_c)^-1 = G - G[:, A] (1 + w_c G[B, A])^-1 w_c G[B, :]    (Woodbury),
 
 so Z_c follows from small matrices for any start and end.
 
 Shapes: P states, M steps, H hypotheses, E states where walks end, B hypotheses of a block, k states
-that the steps of one of them leave or reach.
+that the steps of one hypothesis leave or reach.
 """
 
 from __future__ import annotations
@@ -34,15 +35,15 @@ import scipy.sparse.linalg
 BLOCK = 64  # hypotheses whose small matrices are solved at once, to bound memory
 CANCELLED = 1e-8  # share of Z_0: a smaller Z_c has lost its digits, and is solved for on its own
 GONE = 1e-12  # share of the walks that counts as none
-NEGATIVE = -1e-9  # least number that rounding may make of a sum of weights that is 0
+NEGATIVE = -1e-9  # lowest value that rounding may give a sum of weights that is exactly 0
 
 
 class Steps(NamedTuple):
     """Steps between states.
 
     Attributes:
-      source: [M] the state that each leaves.
-      target: [M] the state that it leads to.
+      source: [M] the state that each step leaves.
+      target: [M] the state that each step leads to.
       num_states: P.
       entering: for each of H hypotheses, which steps enter it.
     """
@@ -64,9 +65,9 @@ class Block(NamedTuple):
     """The steps that some hypotheses take away, padded to the same size.
 
     Attributes:
-      hypotheses: [B] their indices.
-      source: [B, k] states that the steps which enter them leave.
-      target: [B, k] states that these lead to.
+      hypotheses: [B] indices of the hypotheses.
+      source: [B, k] states that the steps into the hypotheses leave.
+      target: [B, k] states that these steps lead to.
       kernel: [B, k, k] (1 + w_c G[target, source])^-1 w_c; 0 where padded.
     """
 
@@ -133,7 +134,7 @@ class Walks:
     def sample(
         self, start: int, ends: Ends, num: int, most: int, generator: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Sample walks of at most `most` steps, by rejecting longer ones.
+        """Sample walks of at most `most` steps, by rejecting longer walks.
 
         Returns:
           Steps [num, most], arbitrary after the end of a walk, and lengths [num].
@@ -176,7 +177,7 @@ class Walks:
 
     @cached_property
     def blocks(self) -> list[Block]:
-        """Blocks of hypotheses, those that take away about as many steps together."""
+        """Blocks of hypotheses; those of one block take away about equally many steps."""
         sizes = np.array([len(steps) for steps in self.steps.entering])
         order = np.argsort(sizes, kind="stable")
         return [self._block(order[k : k + BLOCK]) for k in range(0, len(order), BLOCK)]
@@ -199,7 +200,7 @@ class Walks:
         return Block(hypotheses, sources, targets, kernel)
 
     def _solved(self, start: int, ends: Ends, taken: np.ndarray) -> float:
-        """Return Z_c, without the steps taken away, to all digits by solving for it alone."""
+        """Return Z_c to all digits, by solving a system of its own without the steps taken away."""
         weight, size = self.weight.copy(), self.steps.num_states
         weight[taken] = 0.0
         goes = weight > 0.0
@@ -228,7 +229,7 @@ class Walks:
 
 
 def _reaching(matrix: Any, ends: np.ndarray) -> np.ndarray:
-    """Return in order the states from which walks lead to the ends, and the ends themselves."""
+    """Return, in order, the ends and the states from which walks lead to the ends."""
     backwards = matrix.T.tocsr()
     found = [
         scipy.sparse.csgraph.breadth_first_order(backwards, end, return_predecessors=False)

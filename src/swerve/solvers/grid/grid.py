@@ -4,8 +4,8 @@
 
     V_t(s) = log mean_a exp(beta r(s, a, s') + V_{t+1}(s'))    (sum for the counting measure)
 
-at the nodes, V interpolated between them, V = beta r_T exactly where an episode has ended. The
-policy is the one-step look-ahead
+holds at the nodes. Between nodes V is interpolated; where an episode has ended, V = beta r_T
+exactly. The policy is the one-step look-ahead
 
     log pi(a | s, t) = beta r(s, a, s') + V_{t+1}(s') - logsumexp over a,
 
@@ -14,8 +14,8 @@ not depend on time nor on the goal, so interpolation at all successors of all no
 matrix, and tasks with the same goal share one backward pass.
 
 Steps into a known constraint are left out of the sum. A node is closed if every step from the node
-is forbidden, or leads to where all nodes around are closed. V at a state is interpolated from nodes
-that are open and in sight, not behind a wall.
+is forbidden, or leads to a place with only closed nodes around. V at a state is interpolated from
+nodes that are open and in sight, not behind a wall.
 
 Shapes: S nodes, A actions, T steps, n state dimensions, G goals solved at once.
 """
@@ -49,7 +49,7 @@ from swerve.solvers.grid.model import (
 )
 
 DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # nodes along a straight axis; an angle has half as many
-VALUES_BYTES = 1 << 30  # bytes of soft values held at once: more goals are solved in blocks
+VALUES_BYTES = 1 << 30  # bytes of soft values held at once; more goals are solved in blocks
 MATRIX_BYTES = 8 << 30  # bytes: a grid that needs more for a matrix or for values is refused
 
 

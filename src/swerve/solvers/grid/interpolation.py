@@ -6,9 +6,9 @@ The value at a point is a weighted sum over the 4 nearest nodes along each axis,
 
 so that interpolating at fixed points is one sparse matrix. Where the cubic and the linear value
 differ by more than a tolerance there is a cliff, near which a cubic overshoots. In a recursion that
-prefers high values the overshoot would grow without bound, so the linear value, which cannot
-overshoot, is taken there. Angles are periodic; on other axes points beyond the outermost nodes are
-moved onto them.
+prefers high values the overshoot would grow without bound. So the linear value is taken there: it
+cannot overshoot. Angles are periodic; on other axes, points beyond the outermost nodes are moved
+onto these nodes.
 
 Shapes: n state dimensions, S nodes in all, K = 4^n nodes a stencil.
 """
@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, Int
 from swerve.base.space import StateSpace
 
 STENCIL = 4  # nodes of a cubic along one axis
-SMOOTH = 1.0  # nats between the cubic and the linear value beyond which there is a cliff
+SMOOTH = 1.0  # nats: where the cubic and the linear value differ by more, there is a cliff
 
 
 class Stencil(NamedTuple):
@@ -33,7 +33,7 @@ class Stencil(NamedTuple):
 
     Attributes:
       nodes: [K] indices of nodes.
-      weights: [K] which sum to 1.
+      weights: [K] weights of the nodes, which sum to 1.
     """
 
     nodes: Int[Array, " K"]
@@ -98,7 +98,7 @@ class StateGrid:
     def interpolate(
         self, values: Float[Array, " S"], state: Float[Array, " n"]
     ) -> Float[Array, ""]:
-        """Return the value at one state from values at the nodes, contracting axis by axis."""
+        """Return the value at one state from values at the nodes, summing axis by axis."""
         axes = self._axes(state)
         nodes = jnp.zeros((), jnp.int32)
         for points, (near, _) in zip(self.num_points, axes, strict=True):
@@ -117,9 +117,9 @@ class StateGrid:
         return Stencil(nodes, weights)
 
     def _axes(self, state: Float[Array, " n"]) -> list[tuple[Int[Array, "4"], Float[Array, ""]]]:
-        """Return for each axis 4 nodes, numbered along it, and where the state lies among them.
+        """Return for each axis 4 nodes, by their number on the axis, and the place of the state.
 
-        The nodes lie at -1, 0, 1 and 2.
+        The place is measured so that the 4 nodes lie at -1, 0, 1 and 2.
         """
         axes = []
         for k, points in enumerate(self.num_points):
@@ -133,16 +133,16 @@ class StateGrid:
         return axes
 
     def _position(self, state: Float[Array, " n"], axis: int) -> Float[Array, ""]:
-        """Return where a state lies along an axis, in nodes from the first."""
+        """Return where a state lies along an axis, in nodes from the first node."""
         points = self.num_points[axis]
         position = (state[axis] - self.low[axis]) / self.spacing[axis]
         if self.periodic[axis]:
-            return position - points * jnp.floor(position / points)  # vectorised, % is not
+            return position - points * jnp.floor(position / points)  # floor is vectorised, % is not
         return jnp.clip(position, 0.0, points - 1.0)
 
 
 def choose_smooth(xp: Any, cubic: Any, linear: Any) -> Any:
-    """Return the cubic value, or the linear one where they are far apart."""
+    """Return the cubic value, or the linear value where the two are far apart."""
     return xp.where(abs(cubic - linear) > SMOOTH, linear, cubic)
 
 

@@ -1,4 +1,4 @@
-"""Evaluate what dynamic programming on a grid needs of an MDP: successors, rewards and endings.
+"""Evaluate an MDP for dynamic programming on a grid: successors, rewards and endings.
 
 Everything here is evaluated once, at the nodes. Dynamics depend neither on time nor on the goal, so
 one sparse matrix interpolates V at all successors of all nodes.
@@ -22,7 +22,7 @@ from swerve.simulation.trajectory import enters
 from swerve.solvers.grid.interpolation import StateGrid, Stencil, choose_smooth
 
 CLOSED = -1e8  # nats, V of a closed node; above FORBIDDEN, since a coarse grid may miss a way out
-CLIFF = -1e6  # nats, V of a closed node in a cubic: far off, so that the linear value is taken
+CLIFF = -1e6  # nats, V of a closed node in a cubic: so low that the linear value is taken
 BATCH = 4096  # cells whose surroundings are judged at once, to bound memory
 
 
@@ -32,8 +32,8 @@ class Successors:
 
     Attributes:
       states: [A*S, n].
-      cubic: [A*S, S] sparse; times values at nodes, gives values at successors.
-      linear: [A*S, S] the same by linear interpolation, from nodes in sight alone.
+      cubic: [A*S, S] sparse matrix: times values at nodes, it gives values at successors.
+      linear: [A*S, S] the same matrix for linear interpolation, from nodes in sight alone.
       forbidden: [A*S] whether the step to the successor enters a known constraint.
       clear: [A*S] whether no known constraint is near the successor; None if none is known.
     """
@@ -58,7 +58,7 @@ class Successors:
 
 
 def is_open(values: Any) -> Any:
-    """Return where a value is that of an open node, from which some step is allowed."""
+    """Return where a value belongs to an open node, from which some step is allowed."""
     return values > CLOSED / 2
 
 
@@ -75,10 +75,10 @@ def in_sight(problem: Problem, grid: StateGrid, state: Float[Array, " n"]) -> St
 def clear_cells(problem: Problem, grid: StateGrid) -> np.ndarray | None:
     """Return for each cell whether all nodes of its cubic stencil are in sight of its corners.
 
-    Elsewhere a known constraint is near, and a cubic would interpolate through the constraint.
+    In the other cells a known constraint is near, and a cubic would interpolate through it.
 
     Returns:
-      [S] booleans, a cell having the number of its lowest corner; None if no constraint is known.
+      [S] booleans, each at the number of the cell's lowest corner; None if no constraint is known.
     """
     if not problem.known:
         return None
@@ -109,12 +109,12 @@ class GoalModel:
 
 
 def find_successors(problem: Problem, grid: StateGrid, clear: np.ndarray | None) -> Successors:
-    """Step every action from every node and find the weights that interpolate there.
+    """Take every action at every node, and find the weights that interpolate at the successors.
 
     Args:
       problem: the model.
       grid: the S nodes.
-      clear: [S] from `clear_cells`.
+      clear: [S] result of `clear_cells`.
     """
     mdp = problem.mdp
 

@@ -2,12 +2,13 @@
 
 Looking ahead evaluates the soft value once for every action. Here a smaller network, which gives
 the logits of the policy and the soft value at once, learns to imitate the look-ahead policy, on the
-trajectories of that policy and anywhere else,
+trajectories of the look-ahead policy and in states anywhere else,
 
     loss = KL(pi_look || pi) + Huber((V - B V) / (1 + |B V| / scale)).
 
-The direct policy is several times quicker to sample and a little further from pi_0. Since it has a
-soft value, it is sampled by sequential Monte Carlo, whose weights correct for the distance.
+The direct policy is several times quicker to sample and a little further from pi_0. Since this
+policy has a soft value, it is sampled by sequential Monte Carlo, whose weights correct for the
+distance.
 
 Shapes: N lanes, L steps of a segment, G minibatches, A actions, F features, n states, g goal
 dimensions. The batch is the last axis of every array.
@@ -49,7 +50,7 @@ class Distilled(TrainingSolver):
       num_epochs: passes over a segment.
       num_minibatches: G, updates a pass; must divide the segment.
       learning_rate: learning rate at first; it falls to a hundredth.
-      width: of the two hidden layers.
+      width: width of the two hidden layers.
       loss_scale: nats; errors of the value are divided by 1 + |target| / loss_scale.
     """
 
@@ -94,7 +95,7 @@ class Distilled(TrainingSolver):
         Args:
           teacher: nominal distribution that `SoftValue` learned.
           tasks: as for `learn`.
-          seed: of everything random.
+          seed: seed of everything random.
           progress: whether to show a progress bar.
           checkpoint: as for `learn`.
 
@@ -171,7 +172,7 @@ class DistilledTrainer(NetworkTrainer):
     def look(
         self, state: NetworkState, lane: Lanes, place: Array
     ) -> tuple[Array, tuple[Array, Array, Array]]:
-        """Return log pi [A] of the teacher, features, log pi again, and its soft value [nats]."""
+        """Return the teacher's log pi [A], and to keep: features, log pi and the teacher's V."""
         assert self.teacher is not None
         log_probabilities, value = self.teacher.propose(*lane)
         features = self.problem.mdp.features(*lane)

@@ -1,7 +1,7 @@
-"""Lanes: the episodes, side by side, from which solvers learn that train.
+"""Lanes: the episodes, side by side, that trained solvers learn from.
 
-A share of the lanes explores: it starts anywhere at any time. A simulator gives such starts for
-free, and they find all modes. The other lanes start where tasks start.
+A share of the lanes explores: these lanes start anywhere at any time. Such starts cost nothing in a
+simulator, and find all modes. The other lanes start where tasks start.
 
 Shapes: N lanes, n states, g goal dimensions. The batch is the last axis of every array.
 """
@@ -28,7 +28,7 @@ class Lanes(NamedTuple):
 
 
 def over_lanes(function: Any, *axes: int | None) -> Any:
-    """Map a function of one lane over the last axis of its arguments; None for a shared one."""
+    """Map a function of one lane over the last axis of its arguments; None if shared."""
     return jax.vmap(function, in_axes=axes, out_axes=-1)
 
 

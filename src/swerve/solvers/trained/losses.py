@@ -6,8 +6,9 @@ Rewards are soft: they contain the log-probability of the executed action (the p
     r~_t = beta r_t - log pi(a_t | s_t, t)  (- log A for the uniform measure),
 
 so that for pi = pi_0 every return is the same number and every advantage is zero. Nothing is
-normalised or discounted. Since returns may differ by orders of magnitude, losses, and nothing else,
-are divided by 1 + |value| / scale: the value of the state for the policy, the target for the value.
+normalised or discounted. Returns may differ by orders of magnitude, so losses, and nothing else,
+are divided by 1 + |value| / scale. In the policy's loss, value is the value of the state; in the
+value's loss, value is the target.
 
 Shapes: L steps of a segment, N lanes, A actions.
 """
@@ -45,7 +46,7 @@ def discounted(
 
 
 def bounded(advantage: Float[Array, "*N"], scale: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """Return advantages, limited from below: disasters would dominate the gradient.
+    """Return advantages, limited from below so that disasters do not dominate the gradient.
 
     Args:
       advantage: nats.
@@ -62,9 +63,10 @@ def policy_loss(
     *,
     clip: float,
 ) -> Float[Array, ""]:
-    """Return the clipped surrogate of one step, with KL(new || old) against it.
+    """Return the loss of one step: KL(new || old) minus the clipped surrogate.
 
-    Without the clip its minimum is pi_old exp(advantage) normalised, the soft policy improvement.
+    Without the clip the loss is least at pi_old exp(advantage), normalised: the soft policy
+    improvement.
     """
     log_ratio = log_probabilities - old_log_probabilities
     ratio = jnp.exp(select(log_ratio, action))
@@ -88,7 +90,7 @@ def loss_scale(value: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
 def value_of_output(output: Float[Array, "*N"], scale: float) -> Float[Array, "*N"]:
     """Return the value [nats] of a network's output: linear near 0, exponential far from it.
 
-    The slope is `loss_scale` of the value, so relative errors are even in the output.
+    The slope is `loss_scale` of the value, so equal relative errors are equal errors of the output.
     """
     size = jnp.minimum(jnp.abs(output), LARGEST_EXPONENT)
     return jnp.sign(output) * scale * jnp.expm1(size)

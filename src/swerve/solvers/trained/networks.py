@@ -16,7 +16,7 @@ class DenseNetwork(eqx.Module):
 
     Args:
       sizes: of the input, every hidden layer and the output.
-      last_scale: factor on the last layer's initial weights; small makes a flat start.
+      last_scale: factor on the last layer's first weights; if small, outputs begin near 0.
       key: source of randomness.
     """
 

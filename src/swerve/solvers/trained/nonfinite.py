@@ -32,7 +32,7 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
     Raises:
       ValueError: naming the first method, step, state, goal and action without a finite number.
     """
-    # [M, ...], the earliest first: later numbers may only follow from the first NaN
+    # [M, ...], the earliest first: later NaNs may only follow from the first NaN
     lanes = Lanes(*(jnp.moveaxis(x, -1, 1).reshape(-1, *x.shape[1:-1]) for x in visited))
     answers = dict(zip(ASKED, map(np.asarray, _ask(problem, lanes)), strict=True))
     bad = {name: _is_bad(name, x) for name, x in answers.items()}
@@ -40,7 +40,7 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
     found = {name: int(x.argmax()) for name, x in rows.items() if x.any()}
     if not found:
         return
-    name = min(found, key=lambda name: found[name])  # of several in one state, first of ASKED
+    name = min(found, key=lambda name: found[name])  # of several in one state, the first in ASKED
     row = found[name]
     value = answers[name][row]
     where = f"at step {int(lanes.step[row])}"
@@ -59,7 +59,7 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
 def _ask(problem: Problem, lanes: Lanes) -> tuple[Array, ...]:
     """Return the numbers of ASKED: two [M, ...] for the states, three [M, A, ...] for actions.
 
-    Rewards are 0 where a known constraint is entered: they are never paid, whatever they are.
+    Rewards are 0 for steps into a known constraint: such rewards are never paid.
     """
     mdp = problem.mdp
 

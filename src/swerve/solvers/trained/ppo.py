@@ -48,7 +48,7 @@ class PPO(TrainingSolver):
       gae_lambda: lambda of the generalised advantage estimates.
       clip: how far the ratio of new to old probabilities may be from 1 in the surrogate.
       learning_rate: learning rate at first; it falls linearly to a hundredth.
-      width: of the two hidden layers of the policy and of the value network.
+      width: width of the two hidden layers of the policy and of the value network.
       loss_scale: nats; losses are divided by 1 + |value| / loss_scale.
     """
 
@@ -90,7 +90,7 @@ class PPOPolicy(eqx.Module):
 
 
 class PPOState(NamedTuple):
-    """Everything that training carries; with the settings and the seed it determines the rest."""
+    """Everything that training carries: with settings and seed, it determines the rest of a run."""
 
     policy: DenseNetwork
     value: DenseNetwork
@@ -174,7 +174,7 @@ class PPOTrainer(Trainer):
             return losses.value_of_output(over_lanes(value, -1)(features)[0], settings.loss_scale)
 
         def group(x: Array) -> Array:
-            """[L, ..., N] to [G, ..., L N / G], each group with its share of exploring lanes."""
+            """Return [L, ..., N] as [G, ..., L N / G], with exploring lanes in each group."""
             x = x.reshape(*x.shape[:-1], -1, groups)
             x = jnp.moveaxis(x, (-1, 0), (0, -2))
             return x.reshape(*x.shape[:-2], -1)
@@ -218,7 +218,7 @@ class PPOTrainer(Trainer):
             new = jax.nn.log_softmax(policy(features))
             return losses.policy_loss(new, old, action, advantage, clip=self.settings.clip)
 
-        # the scale depends on the state alone: one of the action would move the best policy
+        # the scale depends on the state alone: with one for each action the best policy would move
         scale = losses.loss_scale(batch.value, self.settings.loss_scale)
         advantage = losses.bounded(batch.advantage, scale)
         each = over_lanes(loss, -1, -1, -1, -1)(*batch[:3], advantage)

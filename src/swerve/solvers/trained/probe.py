@@ -23,8 +23,8 @@ from swerve.problem.problem import Problem
 from swerve.problem.tasks import checked_tasks, draw_tasks
 from swerve.simulation.trajectory import Policy, rollout
 
-NUM_TASKS = 8  # at most
-NUM_TRAJECTORIES = 128  # a task: few, since a probe follows every chunk of training
+NUM_TASKS = 8  # tasks of a probe, at most
+NUM_TRAJECTORIES = 128  # trajectories a task: few, since a probe follows every chunk of training
 
 
 class Reading(NamedTuple):
@@ -81,7 +81,7 @@ class Probe:
       tasks: as for `sample`, of which the first NUM_TASKS are used; sampled from the MDP if None.
 
     Raises:
-      ValueError: if a task is not one of the problem.
+      ValueError: if a task does not fit the problem.
     """
 
     def __init__(self, problem: Problem, tasks: Task | None) -> None:
@@ -90,7 +90,7 @@ class Probe:
         self.tasks = Task(*(np.asarray(x[:NUM_TASKS], np.float32) for x in tasks))
 
     def read(self, policies: Sequence[tuple[Policy, float]]) -> Reading:
-        """Return how far policies are from pi_0, each at its beta: the worst of each number."""
+        """Return the worst of each number over the readings of policies, each at its beta."""
         readings = [self._read(policy, beta) for policy, beta in policies]
         kl, worst, share = zip(*readings, strict=True)
         return Reading(max(kl), max(worst), min(share))

@@ -2,10 +2,11 @@
 
 After every chunk a few tasks show how far the policy is from pi_0, and a checkpoint is written. A
 chunk that ends in numbers that are not finite is repeated step by step, to name the method of the
-MDP that returned them. If the MDP returned none, training has diverged, and the state before the
-chunk is kept. If the KL has risen far above its least value, training has diverged too, and the
-state of the least KL is kept. When the solver says that the KL has settled, the run goes on from
-its best state to the last part of its schedule: the fall of the learning rate removes the noise.
+MDP that returned them. If the MDP returned finite numbers, training has diverged, and the state
+before the chunk is kept. If the KL has risen far above its least value, training has diverged too,
+and the state of the least KL is kept. When the solver says that the KL has settled, the run goes on
+from its best state to the last part of its schedule: the fall of the learning rate removes the
+noise.
 
 Shapes: N lanes, L steps of a segment, I iterations.
 """
@@ -52,11 +53,11 @@ class Run:
       solver: settings of the solver.
       trainer: trainer of the solver.
       problem: problem to learn.
-      tasks: those on which KL and ESS are estimated; sampled from the MDP if None. A run that goes
+      tasks: tasks on which KL and ESS are estimated; sampled from the MDP if None. A run that goes
         on from a checkpoint keeps the tasks that it began with.
-      seed: of everything random.
-      checkpoint: file that is written after every chunk, and from which the run goes on; None for
-        neither.
+      seed: seed of everything random.
+      checkpoint: file that is written after every chunk, and from which the run goes on; None to
+        write and read no file.
 
     Raises:
       ValueError: if the checkpoint is of another run, or no episode can begin.
@@ -107,8 +108,8 @@ class Run:
         If the KL has settled, the chunk is the first of the last part of the schedule.
 
         Raises:
-          ValueError: if the MDP returned a number that is not finite, or nothing was learned yet
-            and training diverged.
+          ValueError: if the MDP returned a number that is not finite, or training
+            diverged before anything was learned.
         """
         self._skip_if_settled()
         is_over = self.num_done >= self._solver.num_chunks
@@ -139,7 +140,7 @@ class Run:
         return self.history[-1]
 
     def _skip_if_settled(self) -> None:
-        """If the KL has settled, move the best state on to the last part."""
+        """If the KL has settled, move the best state on to the last part of the schedule."""
         solver = self._solver
         first = round((1.0 - LAST_PART) * solver.num_chunks)
         if self.num_done < first and solver.has_settled(self.history):

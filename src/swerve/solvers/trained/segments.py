@@ -113,7 +113,7 @@ def roll_segment(
 
 
 def minibatches(column: Array, num_minibatches: int) -> Array:
-    """Return a segment's [L, ..., N] as [G, ..., L N / G], steps of a batch far apart."""
+    """Return a segment's [L, ..., N] as [G, ..., L N / G], its steps far apart."""
     column = column.reshape(-1, num_minibatches, *column.shape[1:])
     column = jnp.moveaxis(column, 0, -2)
     return column.reshape(*column.shape[:-2], -1)

@@ -14,7 +14,7 @@ NUM_CHUNKS = 40  # chunks of a run: as many checkpoints, and as many rows of the
 
 
 class TrainingSettings:
-    """Settings of training in chunks of iterations, of a segment in every lane each.
+    """Settings of training in chunks of iterations; an iteration is a segment in every lane.
 
     Subclasses are frozen dataclasses, with these among their settings.
 
@@ -27,7 +27,7 @@ class TrainingSettings:
       num_epochs: passes over a segment.
       num_minibatches: G, updates a pass.
       learning_rate: learning rate at first.
-      width: of the two hidden layers.
+      width: width of the two hidden layers.
       loss_scale: scale of the losses, nats.
     """
 
@@ -60,7 +60,7 @@ class TrainingSettings:
         """Check that settings are whole numbers >= 1, shares from 0 to 1, or numbers > 0.
 
         Raises:
-          ValueError: naming the first setting that is not.
+          ValueError: naming the first setting that is out of range.
         """
         solver = type(self).__name__
         for field in whole:

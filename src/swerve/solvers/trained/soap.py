@@ -7,8 +7,8 @@ Q_R; Adam works on Q_L^T G Q_R, and its step is turned back,
     W <- W - rate Q_L Adam(Q_L^T G Q_R) Q_R^T.
 
 The bases follow by one step of orthogonal iteration every few updates. Vectors get plain Adam.
-Fitting a value to a few hundredths of a nat is badly conditioned, which SOAP copes with: on the
-pendulum the KL divergence after equally many steps is several times less than with Adam.
+Fitting a value to a few hundredths of a nat is badly conditioned. SOAP copes with such fits: on the
+pendulum, the KL divergence after equally many steps is several times less than with Adam.
 
 Shapes: p x q weights.
 """
@@ -32,9 +32,9 @@ class Moments(NamedTuple):
 
     Attributes:
       mean: mean of the gradient.
-      square: mean of its squares, for a matrix in the eigenbasis.
+      square: mean of the gradient's squares, for a matrix in the eigenbasis.
       covariance: [p, p] and [q, q] means of G G^T and G^T G of a matrix; empty for a vector.
-      basis: eigenvectors of these, in columns, those of large eigenvalues first.
+      basis: eigenvectors of the covariances, in columns, the largest eigenvalues first.
     """
 
     mean: Array
@@ -51,7 +51,7 @@ class SOAPState(NamedTuple):
 
 
 def soap(schedule: optax.Schedule) -> optax.GradientTransformation:
-    """Return the optimiser, its learning rate by a schedule over updates."""
+    """Return the optimiser, whose learning rate follows a schedule over updates."""
     return optax.chain(scale_by_soap(), optax.scale_by_learning_rate(schedule))
 
 
@@ -113,7 +113,7 @@ def _turned(matrix: Array, basis: tuple[Array, ...]) -> Array:
 
 
 def _refreshed(moments: Moments) -> Moments:
-    """Take one step of orthogonal iteration with both bases, the squares following their order."""
+    """Take one step of orthogonal iteration with both bases, and reorder the squares likewise."""
     square, basis = moments.square, []
     for axis, (covariance, old) in enumerate(zip(moments.covariance, moments.basis, strict=True)):
         image = covariance @ old

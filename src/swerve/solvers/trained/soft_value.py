@@ -8,7 +8,7 @@ computes (B V)_t(s), the right-hand side above, so the residual
 
     delta_t = (B V)_t(s_t) - V_t(s_t)
 
-costs nothing. V is moved towards its lambda-return
+costs nothing. V is moved towards its lambda-return,
 
     V_t(s_t) + sum_k lambda^k delta_{t+k},
 
@@ -46,14 +46,14 @@ from swerve.solvers.trained.trainers import NetworkState, NetworkTrainer
 from swerve.solvers.trained.training import TrainedNominal, TrainingSolver
 
 PATIENCE = 15  # chunks without improvement after which training goes on to its last part
-IMPROVED = 0.97  # share of the least KL so far that counts as improvement
+IMPROVED = 0.97  # a KL below this share of the least KL so far is an improvement
 SLACK = 1e-6  # relative rounding error allowed at the ends of the span of beta
 ADAPTING_SHARE = 0.1  # share of num_steps for a round of adapting to a constraint in force
 ADAPTING_STEPS = 1_000_000  # environment steps of a round, at least, however few num_steps is
-ADAPTING_ROUNDS = 5  # at most
+ADAPTING_ROUNDS = 5  # rounds of adapting to a constraint in force, at most
 DOOMED_MARGIN = 100.0
 """Nats below the least unconstrained value, for states that cannot avoid the constraint."""
-NUM_ASKED = 4096  # states at which that least value is looked for
+NUM_ASKED = 4096  # states in which the least unconstrained value is looked for
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
       num_minibatches: G, updates a pass; must divide the segment.
       trace: lambda of the returns; 0 trusts the network, 1 the residuals along the segment.
       learning_rate: learning rate at first; it falls to a hundredth.
-      width: of the two hidden layers.
+      width: width of the two hidden layers.
       loss_scale: nats; errors are divided by 1 + |target| / loss_scale.
       fade: share of the horizon in which the terminal reward fades to 1 / e of itself.
       floor: least value [nats], given to states that cannot avoid a known constraint. Choose it far
@@ -145,10 +145,10 @@ class SoftValue(TrainingSolver, AdaptingSolver[TrainedNominal]):
     def adapted(
         self, nominal: TrainedNominal, problem: Problem, seed: int
     ) -> Iterator[TrainedNominal]:
-        """Yield nominal distributions of a problem with more known constraints, ever better ones.
+        """Yield nominal distributions of a problem with more known constraints, the best last.
 
-        Training goes on with these constraints from the network learned without them; the rounds
-        end early where training diverges.
+        Training goes on from the network that was learned without these constraints, now with them
+        in force. The rounds end early if training diverges.
         """
         num_steps = max(ADAPTING_STEPS, round(ADAPTING_SHARE * self.num_steps))
         assert isinstance(nominal.policy, SoftValuePolicy)

@@ -67,7 +67,7 @@ class Trainer(abc.ABC):
 
     @abc.abstractmethod
     def look(self, state: Any, lane: Lanes, place: Array) -> tuple[Array, Any]:
-        """Return log pi [A] of the policy that is rolled out, and what to keep of a step.
+        """Return log pi [A] of the policy that is rolled out, and numbers to keep of the step.
 
         Args:
           state: state of training in this iteration.
@@ -77,11 +77,11 @@ class Trainer(abc.ABC):
 
     @property
     def imitated(self) -> str:
-        """Fingerprint of the policy that is imitated; empty, as by default, for none."""
+        """Fingerprint of the policy that is imitated; empty if there is none, the default."""
         return ""
 
     def probed(self, state: Any) -> Sequence[tuple[Policy, float]]:
-        """Return the policies to be tried, each with the beta that it is for."""
+        """Return the policies to be tried, each with its beta."""
         return [(self.policy_of(state), self.problem.beta)]
 
     @property
@@ -92,7 +92,7 @@ class Trainer(abc.ABC):
     def at_iteration(self, state: Any, iteration: int) -> Any:
         """Return a state moved along the schedule of the learning rate to an iteration."""
         count = jnp.int32(iteration * self.updates_per_iteration)
-        state = optax.tree_utils.tree_set(state, count=count)  # of the schedule, and of Adam
+        state = optax.tree_utils.tree_set(state, count=count)  # of schedule and optimiser
         return state._replace(iteration=jnp.int32(iteration))
 
     @partial(jax.jit, static_argnums=(0, 2))
@@ -115,7 +115,7 @@ class Trainer(abc.ABC):
 
 
 class NetworkState(NamedTuple):
-    """Everything that training carries; with the settings and the seed it determines the rest."""
+    """Everything that training carries: with settings and seed, it determines the rest of a run."""
 
     network: DenseNetwork
     optimiser: Any
@@ -140,7 +140,7 @@ class NetworkTrainer(Trainer):
     def columns(
         self, network: DenseNetwork, segment: Segment
     ) -> tuple[tuple[Array, ...], Float[Array, "L N"]]:
-        """Return what to learn from a segment, all [L, ..., N], and its residuals [nats]."""
+        """Return a segment's columns to learn from, all [L, ..., N], and residuals [nats]."""
 
     @abc.abstractmethod
     def loss(self, network: DenseNetwork, batch: tuple[Array, ...]) -> Float[Array, ""]:

@@ -1,4 +1,4 @@
-"""Learn in chunks, and hold the nominal distribution that training leaves, for all such solvers.
+"""Train a solver in chunks, and hold the nominal distribution that training leaves.
 
 Shapes: C chunks.
 """
@@ -26,7 +26,7 @@ from swerve.solvers.trained.trainers import Trainer
 
 
 class TrainingSolver(TrainingSettings, Solver["TrainedNominal"]):
-    """A solver that trains, in chunks of iterations of a segment in every lane."""
+    """A solver that trains in chunks of iterations; an iteration is a segment in every lane."""
 
     @abc.abstractmethod
     def trainer(self, problem: Problem, seed: int) -> Trainer:
@@ -121,7 +121,7 @@ class TrainedNominal:
         """Draw KL, ESS and residual against the time and the steps of training.
 
         Args:
-          path: a file to write (its suffix tells the format), or None.
+          path: a file to write, whose suffix tells the format, or None.
 
         Returns:
           The matplotlib Figure.
