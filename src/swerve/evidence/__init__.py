@@ -1,1 +1,1 @@
-"""What sampling tells: weighed trajectories, estimates of Z_c / Z_0, exact answers, files."""
+"""Hold the results of sampling: weighted trajectories, estimates of Z_c / Z_0, exact answers."""

@@ -1,4 +1,4 @@
-"""The estimates of evidence: violation probabilities and how far they can be trusted.
+"""Give the estimates of evidence: violation probabilities, and how far to trust them.
 
     log_ratio[task, c] = log(Z_c / Z_0) = log P_{xi ~ pi_0}(xi avoids c)    (the paper, Theorem 1)
 
@@ -26,17 +26,17 @@ class Estimates:
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     Attributes:
-      problem: what the estimates are of.
+      problem: problem that the estimates are for.
       tasks: starts [K, n] and goals [K, g].
-      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal,
-        and at another beta those of its Theorem 2), or "exact": then the numbers have no sampling
-        error, and the trajectories are kept for pictures alone.
-      num_trajectories: N a task.
-      solver: the solver and its settings, for people.
-      seed: of the sampling.
-      summary: the estimates.
-      load_samples: returns the reduced trajectories, called on first use.
-      sampling_beta: the beta that the trajectories were sampled for; the problem's unless given.
+      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal, or
+        at another beta the weights of its Theorem 2), or "exact". With "exact" the numbers have no
+        sampling error, and the trajectories are kept for pictures alone.
+      num_trajectories: N, the trajectories of each task.
+      solver: the solver and its settings, as a text for people.
+      seed: seed of the sampling.
+      summary: the estimates, in small tables.
+      load_samples: function that returns the reduced trajectories, called on first use.
+      sampling_beta: beta for which the trajectories were sampled; the problem's unless given.
     """
 
     problem: ProblemRecord
@@ -60,7 +60,7 @@ class Estimates:
 
     @property
     def num_tasks(self) -> int:
-        """K."""
+        """K, the number of tasks."""
         return len(self.tasks.start)
 
     @property
@@ -70,7 +70,7 @@ class Estimates:
 
     @property
     def is_of_other_beta(self) -> bool:
-        """Whether the trajectories were sampled for another beta than they are weighed for."""
+        """Whether the trajectories were sampled for a beta other than the problem's."""
         return self.sampling_beta != self.problem.beta
 
     @property
@@ -80,9 +80,10 @@ class Estimates:
 
     @property
     def resolution(self) -> np.ndarray:
-        """[K] the least probability that the samples can tell: one trajectory's share.
+        """[K] the least probability that the samples can tell from 0: one trajectory's share.
 
-        1 / N for equal weights, 1 / ESS for importance weights; 0 where answers are exact.
+        The share is 1 / N for equal weights and 1 / ESS for importance weights; 0 if answers are
+        exact.
         """
         if self.is_exact:
             return np.zeros(self.num_tasks)
@@ -97,24 +98,24 @@ class Estimates:
 
     @property
     def is_floored(self) -> np.ndarray:
-        """[K, H] True where less than one trajectory's share avoids a hypothesis.
+        """[K, H] True where the weight that avoids a hypothesis is below one trajectory's share.
 
-        The samples then only say that the ratio is small: `log_ratio` is the log of the share, an
+        The samples then only show that the ratio is small: `log_ratio` is the log of the share, an
         upper bound.
         """
         return (self.summary.avoid_probability < self.resolution[:, None]) & ~self.is_resolved
 
     @property
     def log_ratio(self) -> np.ndarray:
-        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution); -inf where it is exactly 0."""
+        """[K, H] log(Z_c / Z_0) in nats, at least log(resolution); -inf where Z_c is exactly 0."""
         return self._estimate.value
 
     @property
     def standard_error(self) -> np.ndarray:
         """[K, H] standard error of `log_ratio` in nats (delta method).
 
-        At least `resolution`, the change that one more trajectory could make; 1 where the ratio is
-        floored; 0 where answers are exact.
+        The error is at least `resolution`, the change that one more trajectory could make. The
+        error is 1 where the ratio is floored, and 0 where answers are exact.
         """
         return self._estimate.standard_error
 
@@ -133,7 +134,7 @@ class Estimates:
 
     @property
     def is_resolved(self) -> np.ndarray:
-        """[K, H] True where the ratio was sampled with its constraint in force, or is exact."""
+        """[K, H] True where the ratio was sampled with the constraint in force, or is exact."""
         return np.isfinite(self.summary.log_ratio_error)
 
     @property
@@ -145,15 +146,16 @@ class Estimates:
     def kl(self) -> np.ndarray:
         """[K] KL(pi || pi_0) by the estimated log Z_0, nats: an alarm, not a measurement.
 
-        For "smc" and "tempered" it is KL(pi_0 || pi), since their trajectories are those of pi_0.
-        After `at_beta` pi is still the policy that sampled them, while pi_0 is that of the new
-        beta. With "plain" pi_0 stays that of `sampling_beta`, since its weights assume pi = pi_0.
+        For "smc" and "tempered" the number is KL(pi_0 || pi), since their trajectories follow pi_0.
+        After `at_beta`, pi is still the policy that sampled the trajectories, while pi_0 is that of
+        the new beta. With "plain", pi_0 stays that of `sampling_beta`, since plain weights assume
+        pi = pi_0.
         """
         return self.summary.kl
 
     @property
     def soft_value(self) -> np.ndarray:
-        """[K] log Z_0 by the solver's own soft value, nats; NaN if it has none of this beta."""
+        """[K] log Z_0 by the solver's soft value, nats; NaN without a soft value at this beta."""
         return self.summary.soft_value
 
     @property
@@ -161,13 +163,14 @@ class Estimates:
         """[K] effective sample size of the importance weights, whatever the method.
 
         With method "plain" all N trajectories have equal weight, and this number says how far to
-        trust them; at another beta it is that of the weights used, if that is smaller.
+        trust them. At another beta, this number is the effective sample size of the weights used,
+        if that is smaller.
         """
         return self.summary.effective_sample_size
 
     @property
     def distinct_share(self) -> np.ndarray:
-        """[K] share of the first trajectories that have descendants; 1 without resampling."""
+        """[K] share of the initial trajectories that have descendants; 1 without resampling."""
         return self.summary.distinct_share
 
     @property
@@ -177,7 +180,7 @@ class Estimates:
 
     @property
     def island_spread(self) -> np.ndarray:
-        """[K] standard deviation of log Z_0 over islands, nats; infinite if one has no weight."""
+        """[K] standard deviation of log Z_0 over islands, nats; infinite if an island weighs 0."""
         log_partition = self.island_log_partition
         is_lost = np.isneginf(log_partition)
         spread = np.where(is_lost, 0.0, log_partition).std(axis=1)

@@ -4,7 +4,7 @@ With log-weights l(xi) = beta R(xi) + log m(xi) - log pi(xi) of N trajectories s
 
     log Z_0 ~ logsumexp(l) - log N,    Z_c / Z_0 ~ sum_k w_k 1[xi_k avoids c] / sum_k w_k,
 
-w = exp(l). With equal weights the second is the paper's Theorem 1. Everything is float64.
+w = exp(l). With equal weights the second formula is the paper's Theorem 1. All numbers are float64.
 
 Shapes: N trajectories, H hypotheses.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from swerve.base.arguments import whole_number
 from swerve.hypotheses.bits import entered_blocks, num_bits
 
-BLOCK = 128  # bytes, of 8 hypotheses each, unpacked at a time
+BLOCK = 128  # bytes, of 8 hypotheses each, unpacked at a time: bounds the memory
 
 
 class Estimate(NamedTuple):
@@ -27,7 +27,7 @@ class Estimate(NamedTuple):
 
     Attributes:
       avoid_probability: [H] Z_c / Z_0, the nominal probability of avoiding c.
-      avoid_variance: [H] its sampling variance (delta method).
+      avoid_variance: [H] sampling variance of `avoid_probability` (delta method).
     """
 
     avoid_probability: np.ndarray
@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """Each group's share of the total weight, and the part of it that avoids each hypothesis.
+    """Each group's share of the total weight, and the part that avoids each hypothesis.
 
     Attributes:
       weight: [G] weights of the groups, which sum to 1.
@@ -55,7 +55,7 @@ class Parts(NamedTuple):
         return num / (num - 1) * (deviation**2).sum(axis=0)
 
     def avoid_without(self) -> np.ndarray:
-        """Return Z_c / Z_0 [G, H] by all groups but one; 0 where the others have no weight."""
+        """Return Z_c / Z_0 [G, H] without one group each; 0 if other groups have no weight."""
         left = 1.0 - self.weight[:, None]
         avoided = np.clip(self.avoided.sum(axis=0) - self.avoided, 0.0, None)
         return np.divide(avoided, left, out=np.zeros_like(avoided), where=left > 0.0)
@@ -70,7 +70,7 @@ def parts(
       log_weight: [N] nats.
       violations: [N, ceil(H / 8)] packed bits.
       num_hypotheses: H.
-      group: [N] numbers from 0 to G - 1.
+      group: [N] each trajectory's group, from 0 to G - 1.
 
     Raises:
       ValueError: if a log-weight is NaN, or every one is -inf.
@@ -82,14 +82,14 @@ def parts(
     for hypotheses, bits in entered_blocks(violations, BLOCK):
         entered = members @ bits.astype(np.float64)
         avoided[:, hypotheses] -= entered
-        rare = entered.sum(axis=0) > 0.5  # few avoid: 1 - entered would be rounding error
+        rare = entered.sum(axis=0) > 0.5  # few avoid: the difference would be rounding error
         avoided[:, hypotheses[rare]] = members @ (1.0 - bits[:, rare])
     return Parts(weight, avoided[:, :num_hypotheses])
 
 
-LOW_ESS_SHARE = 0.02  # of N: an effective sample size below this share is not trusted
-LOW_ESS = 100.0  # trajectories: nor is one below this number, whatever N
-HOTTEST = 0.5  # of the beta sampled for: below it weights of a Gaussian have infinite variance
+LOW_ESS_SHARE = 0.02  # share of N: an effective sample size below this share is not trusted
+LOW_ESS = 100.0  # trajectories: an effective sample size below this number is never trusted
+HOTTEST = 0.5  # share of the sampling beta: below, weights of a Gaussian have infinite variance
 
 
 class NothingLeftError(ValueError):
@@ -100,8 +100,8 @@ class LogRatio(NamedTuple):
     """Estimates of log Z_c / Z_0, nats.
 
     Attributes:
-      value: [..., H].
-      standard_error: [..., H].
+      value: [..., H] log Z_c / Z_0.
+      standard_error: [..., H] standard error of `value`.
     """
 
     value: np.ndarray
@@ -169,7 +169,7 @@ def effective_sample_size(log_weight: np.ndarray, group: np.ndarray | None = Non
 
     Args:
       log_weight: [N] nats.
-      group: [N] numbers from 0; the weights of trajectories in a group are added first.
+      group: [N] each trajectory's group, from 0; the weights of a group are added first.
 
     Raises:
       ValueError: if a log-weight is NaN, or every one is -inf.
@@ -184,7 +184,7 @@ def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:
     """Return KL(pi || pi_0) = log Z_0 - E_pi[l] [nats].
 
     Where some trajectories enter a known constraint, pi is restricted to the other trajectories,
-    since the estimates rest on these.
+    since only these count in the estimates.
 
     Args:
       log_weight: [N] of trajectories sampled from pi, nats.
@@ -226,7 +226,7 @@ def avoid_probability(
     for hypotheses, bits in entered_blocks(violations, BLOCK):
         entered[:, hypotheses] = rows @ bits.astype(np.float64)
         avoided[:, hypotheses] -= entered[:, hypotheses]
-        rare = entered[0, hypotheses] > 0.5  # few avoid: 1 - entered would be rounding error
+        rare = entered[0, hypotheses] > 0.5  # few avoid: the difference would be rounding error
         avoided[:, hypotheses[rare]] = rows @ (1.0 - bits[:, rare])
     (entered, entered_square), (avoided, avoided_square) = (
         sums[:, :num_hypotheses] for sums in (entered, avoided)
@@ -244,7 +244,7 @@ def least_effective(num_trajectories: int) -> float:
 def log_ratio(estimate: Estimate, resolution: Any) -> LogRatio:
     """Return log Z_c / Z_0 and its standard error (delta method), nats.
 
-    A probability below one trajectory's share cannot be told from 0: there the estimate is the log
+    A probability below one trajectory's share cannot be told from 0. There the estimate is the log
     of the share, an upper bound, with an error of 1. Elsewhere the error is at least the share.
 
     Args:

@@ -1,7 +1,7 @@
-"""Evidence: what sampling the nominal distribution tells of each hypothesis, task by task.
+"""Hold evidence: what samples of the nominal distribution tell about each hypothesis, by task.
 
-Evidence is all that inference needs. It keeps N trajectories a task as numbers and bits, summed up
-in small tables that are read without them (see `estimates`).
+Inference needs evidence alone. Evidence keeps N trajectories a task as numbers and bits. Small
+tables sum up the trajectories, and are read without them (see `estimates`).
 
 Shapes: K tasks, N trajectories, H hypotheses, n states, g goal dimensions.
 """
@@ -35,17 +35,17 @@ class Evidence(Estimates):
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     Attributes:
-      problem: what the estimates are of.
+      problem: problem that the estimates are for.
       tasks: starts [K, n] and goals [K, g].
-      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal,
-        and at another beta those of its Theorem 2), or "exact": then the numbers have no sampling
-        error, and the trajectories are kept for pictures alone.
-      num_trajectories: N a task.
-      solver: the solver and its settings, for people.
-      seed: of the sampling.
-      summary: the estimates.
-      load_samples: returns the reduced trajectories, called on first use.
-      sampling_beta: the beta that the trajectories were sampled for; the problem's unless given.
+      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal, or
+        at another beta the weights of its Theorem 2), or "exact". With "exact" the numbers have no
+        sampling error, and the trajectories are kept for pictures alone.
+      num_trajectories: N, the trajectories of each task.
+      solver: the solver and its settings, as a text for people.
+      seed: seed of the sampling.
+      summary: the estimates, in small tables.
+      load_samples: function that returns the reduced trajectories, called on first use.
+      sampling_beta: beta for which the trajectories were sampled; the problem's unless given.
     """
 
     @property
@@ -62,7 +62,7 @@ class Evidence(Estimates):
         )
 
     def find(self, task: Task) -> int | None:
-        """Return the index of the task with the same start and goal, None if there is none.
+        """Return the index of the task with the same start and goal; None without such a task.
 
         Two tasks are the same within MATCH_TOLERANCE of each state's extent.
         """
@@ -73,12 +73,12 @@ class Evidence(Estimates):
         """Return the index of the task with the same start and goal, as `find` does.
 
         Raises:
-          ValueError: if there is none; the message names the nearest.
+          ValueError: if there is no such task; the message names the nearest task.
         """
         return matching.match(self.problem, self.tasks, task, name)
 
     def nearest(self, tasks: Task) -> tuple[np.ndarray, np.ndarray]:
-        """Return the index [...] of the task nearest to each of `tasks` [...], and its distance.
+        """Return the index and the distance [...] of the task nearest to each of `tasks` [...].
 
         Distances are in units of the states' extents.
         """
@@ -94,7 +94,7 @@ class Evidence(Estimates):
         )
 
     def weighted(self, method: str) -> Evidence:
-        """Return the same trajectories weighed by another method.
+        """Return evidence with the same trajectories weighed by another method.
 
         Raises:
           ValueError: if one of the two methods is not "importance" or "plain": only these share
@@ -111,19 +111,19 @@ class Evidence(Estimates):
         return dataclasses.replace(self, method=method, summary=summary)
 
     def at_beta(self, beta: float) -> Evidence:
-        """Return the same trajectories weighed for a demonstrator of another inverse temperature.
+        """Return evidence with the same trajectories weighed for a demonstrator of another beta.
 
-        A trajectory's log-weight gains (beta - beta of this evidence) R(xi), whatever the method
-        (the paper, Theorem 2). The further beta is from `sampling_beta`, the smaller the effective
-        sample size: `infer` warns where it is too small. Whole trajectories kept for pictures
-        remain those of `sampling_beta`. The solver's soft value, which is of that beta too, is
-        left out.
+        With every method, (beta - beta of this evidence) R(xi) is added to a trajectory's
+        log-weight (the paper, Theorem 2). The effective sample size falls with the distance of beta
+        from `sampling_beta`; `infer` warns where the size is too small. The trajectories kept for
+        pictures remain those of `sampling_beta`. The solver's soft value, which also belongs to
+        that beta, is left out.
 
         Args:
-          beta: nats per unit of reward.
+          beta: inverse temperature, nats per unit of reward.
 
         Raises:
-          ValueError: if beta is no finite number above 0, or the evidence is exact.
+          ValueError: if beta is not a finite number above 0, or the evidence is exact.
         """
         beta = positive_number(beta, "beta")
         if self.is_exact:
@@ -141,11 +141,11 @@ class Evidence(Estimates):
         )
 
     def joined(self, *others: Evidence) -> Evidence:
-        """Return evidence for the tasks of this and others, in that order.
+        """Return evidence for the tasks of this evidence and of others, in that order.
 
         Raises:
-          ValueError: if they differ in problem, method, solver, seed, number of trajectories or the
-            beta that the trajectories were sampled for.
+          ValueError: if the evidences differ in problem, method, solver, seed, number of
+            trajectories or the beta for which the trajectories were sampled.
         """
         for other in others:
             for field in ("method", "num_trajectories", "solver", "seed", "sampling_beta"):
@@ -187,7 +187,7 @@ class Evidence(Estimates):
 
     @classmethod
     def load(cls, path: str | Path) -> Evidence:
-        """Read evidence; its trajectories are read and checked on first use.
+        """Read evidence; the trajectories are read and checked on first use.
 
         Raises:
           store.StoreError: if the file is cut short, altered, or of another kind or version.

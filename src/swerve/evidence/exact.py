@@ -1,7 +1,7 @@
 """Give exact answers the form of evidence.
 
 An exact solver gives log Z_0, Z_c / Z_0 for each hypothesis, and a few trajectories sampled from
-pi_0 itself, for pictures. For each of these trajectories
+pi_0, for pictures. For each of these trajectories
 
     log pi_0(xi) = beta R(xi) + log m(xi) - log Z_0.
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class KeptTrajectories(NamedTuple):
-    """Trajectories sampled from pi_0, kept for pictures; a shorter one repeats its last state.
+    """Trajectories sampled from pi_0 for pictures; shorter ones repeat their last state.
 
     Attributes:
       states: [M, T+1, n].
@@ -47,9 +47,9 @@ class ExactAnswer(NamedTuple):
 
     Attributes:
       log_partition: log Z_0, nats.
-      log_ratio: [H] log Z_c / Z_0, nats; -inf where nothing avoids a hypothesis.
+      log_ratio: [H] log Z_c / Z_0, nats; -inf where no trajectory avoids a hypothesis.
       kept: trajectories sampled from pi_0.
-      step: time between two states of these [s]; the MDP's dt if None.
+      step: time between two states of the kept trajectories [s]; the MDP's dt if None.
     """
 
     log_partition: float
@@ -59,12 +59,12 @@ class ExactAnswer(NamedTuple):
 
     @property
     def avoid_probability(self) -> np.ndarray:
-        """[H] Z_c / Z_0; 0 where it underflows."""
+        """[H] Z_c / Z_0; 0 where the ratio underflows."""
         return np.exp(self.log_ratio)
 
 
 class NamedSolver(Protocol):
-    """A solver, as far as messages name it."""
+    """A solver that messages can name."""
 
     @property
     def name(self) -> str:
@@ -99,7 +99,8 @@ class ExactNominal(Protocol):
           task: start [n] and goal [g].
           generator: random numbers for the trajectories that are kept for pictures.
           advance: called with the share of the task done since the last call; the shares add to 1.
-          avoiding: hypotheses C in force: the answer is then log Z_C and P(avoid c | avoid C).
+          avoiding: hypotheses C in force. The answer then holds log Z_C and log P(avoid c | avoid
+            C).
         """
         ...
 
@@ -107,7 +108,7 @@ class ExactNominal(Protocol):
 def exact_evidence(
     record: ProblemRecord, task: Task, answer: ExactAnswer, solver: str, seed: int
 ) -> Evidence:
-    """Return the evidence of one task, whose estimates have no error.
+    """Return evidence of one task, with estimates that have no error.
 
     Raises:
       ValueError: if log Z_0 is not finite.

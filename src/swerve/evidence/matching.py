@@ -13,14 +13,14 @@ import numpy as np
 from swerve.base.space import Task
 from swerve.problem.record import ProblemRecord
 
-MATCH_TOLERANCE = 1e-3  # of a state's extent: tasks that differ by less are the same task
+MATCH_TOLERANCE = 1e-3  # share of a state's extent: tasks that differ by less are the same task
 
 
 def nearest(problem: ProblemRecord, known: Task, tasks: Task) -> tuple[np.ndarray, np.ndarray]:
     """Return the index [...] of the known task nearest to each task, and its distance [...].
 
     Args:
-      problem: what the tasks are of.
+      problem: problem that the tasks belong to.
       known: starts [K, n] and goals [K, g].
       tasks: starts [..., n] and goals [..., g].
 
@@ -38,13 +38,13 @@ def nearest(problem: ProblemRecord, known: Task, tasks: Task) -> tuple[np.ndarra
 def match_each(
     problem: ProblemRecord, known: Task, tasks: Task, names: Sequence[str]
 ) -> np.ndarray:
-    """Return the indices [D] of the known tasks that are the same as some tasks.
+    """Return for each task the index [D] of the known task that is the same.
 
     Args:
-      problem: what the tasks are of.
+      problem: problem that the tasks belong to.
       known: starts [K, n] and goals [K, g].
       tasks: starts [D, n] and goals [D, g].
-      names: [D] what the error calls each task.
+      names: [D] name of each task, for the error.
 
     Raises:
       ValueError: if a task is not known; the message names the nearest known task.
@@ -65,13 +65,13 @@ def match(problem: ProblemRecord, known: Task, task: Task, name: str) -> int:
     Two tasks are the same within MATCH_TOLERANCE of each state's extent.
 
     Args:
-      problem: what the tasks are of.
+      problem: problem that the tasks belong to.
       known: starts [K, n] and goals [K, g].
       task: start [n] and goal [g].
-      name: what the error calls the task.
+      name: name of the task, for the error.
 
     Raises:
-      ValueError: if no known task is the same; the message names the nearest.
+      ValueError: if no known task is the same; the message names the nearest known task.
     """
     number, distance = nearest(problem, known, task)
     if distance > MATCH_TOLERANCE:
@@ -80,7 +80,7 @@ def match(problem: ProblemRecord, known: Task, task: Task, name: str) -> int:
 
 
 def _no_evidence(known: Task, task: Task, nearest_one: int, name: str) -> ValueError:
-    """Return the error that there is no evidence for a task, with the nearest known task."""
+    """Return an error that says that a task has no evidence, and names the nearest known task."""
     start, goal = (part[nearest_one] for part in known)
     return ValueError(
         f"{name}: no evidence for start {_numbers(task.start)} and goal {_numbers(task.goal)}; the "

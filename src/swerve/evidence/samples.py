@@ -1,4 +1,4 @@
-"""Reduce sampled trajectories to numbers and bits, and sum them up in small tables.
+"""Reduce sampled trajectories to numbers and bits, and sum these up in small tables.
 
 Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M kept trajectories, T steps,
 n states.
@@ -14,11 +14,11 @@ from swerve.evidence import estimators
 from swerve.problem.record import ProblemRecord
 
 METHODS = ("smc", "importance", "plain")
-TEMPERED = "tempered"  # method of evidence whose beta was reached by way of betas between
+TEMPERED = "tempered"  # method of evidence whose beta was reached in steps from another beta
 RESAMPLED = ("smc", TEMPERED)  # methods whose trajectories follow pi_0, sampled in islands
 REWEIGHED = ("importance", "plain")  # methods that weigh the same trajectories differently
-NUM_ISLANDS = 20  # independent parts of the trajectories of a task
-EXACT = "exact"  # method of evidence that a solver worked out without sampling
+NUM_ISLANDS = 20  # islands, the independent parts of the trajectories of a task
+EXACT = "exact"  # method of evidence that a solver computed without sampling
 NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures
 
 
@@ -32,7 +32,7 @@ class Sampled(Protocol):
 
     @property
     def log_probability(self) -> Any:
-        """Log-probability under the policy that sampled them, nats."""
+        """Log-probability under the policy that sampled the trajectories, nats."""
         ...
 
     @property
@@ -46,14 +46,15 @@ class Samples(NamedTuple):
 
     Attributes:
       total_reward: [K, N] R(xi); -inf where a known constraint was entered.
-      log_probability: [K, N] log pi(xi) under the policy that sampled it, nats.
+      log_probability: [K, N] log pi(xi) under the policy that sampled xi, nats.
       length: [K, N] steps taken.
-      log_correction: [K, N] correction of the log-weight for resampling, nats; 0 without it.
-      ancestor: [K, N] index of the trajectory at the start that each descends from.
+      log_correction: [K, N] correction of the log-weight for resampling, nats; 0 without
+        resampling.
+      ancestor: [K, N] index of the trajectory at the start from which each trajectory descends.
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
       kept: [K, M, T+1, n] a few whole trajectories, chosen by weight, for pictures.
-      soft_value: [K] log Z_0 by the solver's own soft value at the beta that they were sampled
-        for, nats; NaN where the solver has none.
+      soft_value: [K] log Z_0 by the solver's own soft value at the beta of the sampling, nats; NaN
+        where the solver has no soft value.
     """
 
     total_reward: np.ndarray
@@ -67,30 +68,33 @@ class Samples(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """Estimates for each task, the part of evidence that inference reads.
+    """Estimates for each task: the part of evidence that inference reads.
 
     Attributes:
       avoid_probability: [K, H] Z_c / Z_0.
-      avoid_variance: [K, H] its sampling variance.
-      log_ratio: [K, H] log Z_c / Z_0, nats; exact answers know it where the ratio underflows.
-      log_ratio_error: [K, H] standard error of `log_ratio`, nats, where it was sampled with the
-        constraint in force (see `sampling.resolve`), 0 where it is exact; infinite where sampling
-        with the constraint in force did not settle it; NaN where that was not tried.
+      avoid_variance: [K, H] sampling variance of `avoid_probability`.
+      log_ratio: [K, H] log Z_c / Z_0, nats; finite in exact answers even where the ratio
+        underflows.
+      log_ratio_error: [K, H] standard error of `log_ratio`, nats, where the ratio was sampled with
+        the constraint in force (see `sampling.resolve`); 0 where the ratio is exact; infinite where
+        sampling with the constraint in force did not settle the ratio; NaN where such sampling was
+        not tried.
       log_partition: [K] log Z_0, nats.
-      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" and "tempered"
-        KL(pi_0 || pi). pi_0 is that of the problem's beta; for "plain" that of the beta sampled
-        for, since equal weights assume pi = pi_0.
-      effective_sample_size: [K] of the importance weights; for "plain" of its own weights where
-        that is smaller. Weights of trajectories with the same ancestor are added first.
+      kl: [K] KL(pi || pi_0) by the estimated log Z_0, nats; for "smc" and "tempered" KL(pi_0 ||
+        pi). pi_0 belongs to the problem's beta; for "plain" to the beta of the sampling, since
+        equal weights assume pi = pi_0.
+      effective_sample_size: [K] effective sample size of the importance weights; for "plain" of the
+        plain weights where that is smaller. Weights of trajectories with the same ancestor are
+        added first.
       distinct_share: [K] share of the trajectories at the start that have descendants.
       island_log_partition: [K, I] log Z_0 by each island alone, nats.
-      avoid_without_island: [K, I, H] Z_c / Z_0 by all islands but one, float32.
-      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where the solver has none,
-        or one of another beta.
+      avoid_without_island: [K, I, H] Z_c / Z_0 without one island each, float32.
+      soft_value: [K] log Z_0 by the solver's own soft value, nats; NaN where the solver has no soft
+        value at this beta.
       end: [K, n] the middle of the box around the last states of the kept trajectories.
-      end_reach: [K, n] half the sides of that box.
+      end_reach: [K, n] half the lengths of that box's sides.
       shortest: [K] duration of the shortest trajectory [s].
-      fastest: [K, n] the fastest change of each state [a second] in the kept trajectories.
+      fastest: [K, n] fastest change of each state in the kept trajectories [the state's unit / s].
     """
 
     avoid_probability: np.ndarray
@@ -118,8 +122,8 @@ def summarise(
     Args:
       problem: pi_0 of this problem is estimated.
       samples: the trajectories.
-      method: how to weigh them.
-      sampling_beta: the beta that they were sampled for; the problem's if None.
+      method: how to weigh the trajectories.
+      sampling_beta: beta for which the trajectories were sampled; the problem's if None.
     """
     rows = []
     sampling_beta = problem.beta if sampling_beta is None else sampling_beta
@@ -177,12 +181,12 @@ def _of_islands(
 
 
 def _log_mean(log_weight: np.ndarray) -> float:
-    """Return the log of the mean of weights, -inf where all are 0."""
+    """Return the log of the mean of weights; -inf where all weights are 0."""
     return float(np.logaddexp.reduce(log_weight)) - float(np.log(len(log_weight)))
 
 
 def _kl_divergence(log_weight: np.ndarray) -> float:
-    """Return KL(pi || pi_0) by the log Z_0 that the same weights [N] estimate, nats."""
+    """Return KL(pi || pi_0), nats, with log Z_0 estimated by the same weights [N]."""
     return estimators.kl_divergence(log_weight, estimators.log_partition(log_weight))
 
 
@@ -192,13 +196,13 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 
 def _log(values: np.ndarray) -> np.ndarray:
-    """Return logs, -inf of 0."""
+    """Return the logs of values; -inf for 0."""
     with np.errstate(divide="ignore"):
         return np.log(values)
 
 
 def _end_box(problem: ProblemRecord, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middle [n] and half the sides [n] of the box around states [M, n]."""
+    """Return the middle [n] and half the side lengths [n] of the box around states [M, n]."""
     away = problem.space.difference(ends[0], ends)
     low, high = away.min(axis=0), away.max(axis=0)
     return ends[0] + 0.5 * (low + high), 0.5 * (high - low)
@@ -221,8 +225,8 @@ def weights_used(
 ) -> np.ndarray:
     """Return the log-weights [K, N] that a method uses, nats.
 
-    These are the importance weights, except for "plain": assuming that the policy is pi_0 at the
-    beta sampled for, (beta - sampling_beta) R is left of them (the paper, Theorem 2).
+    These are the importance weights, except for "plain". Plain weights assume that the policy is
+    pi_0 at `sampling_beta`; then only (beta - sampling_beta) R remains (the paper, Theorem 2).
     """
     if method != "plain":
         return log_weights(problem, samples) + samples.log_correction
