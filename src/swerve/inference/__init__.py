@@ -1,1 +1,1 @@
-"""Numbers from evidence and demonstrations: scores, rankings, posteriors, picks, pairs."""
+"""Compute scores, rankings, posteriors, picks and pairs from evidence and demonstrations."""

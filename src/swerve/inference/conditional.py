@@ -1,11 +1,12 @@
 """Estimate log P(avoid c | avoid C) of every hypothesis c, as the constraints C in force grow.
 
-With samples of weights w it is estimated by the trajectories that avoid all of C,
+With samples of weights w, this probability is estimated by the trajectories that avoid all of C,
 
     P(avoid c | avoid C) = 1 - sum_n w_n 1[n avoids C, enters c] / sum_n w_n 1[n avoids C].
 
-A trajectory leaves the sums of all hypotheses once, when it first enters a constraint in force, so
-that all picks together unpack the bits once at most. Exact answers are solved anew with C in force.
+A trajectory is taken out of the sums of all hypotheses once, when a constraint that the trajectory
+enters comes into force. So all picks together unpack the bits at most once. Exact solvers solve
+again with C in force.
 
 Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M hypotheses asked for.
 """
@@ -26,17 +27,17 @@ from swerve.inference.ranking import Ranking
 if TYPE_CHECKING:
     from swerve.evidence.exact import ExactNominal
 
-ROWS, COLUMNS = 256, 64  # trajectories and bytes unpacked at a time: half a MB, fits the cache
-PART = 16  # bits of a part of a weight: sums of 256 parts have 24 bits, which float32 holds
-NUM_PARTS = 3  # parts of a weight, so 48 bits
-DIGITS = 1e-2  # least share of a sum to leave by subtraction: below it digits are lost
+ROWS, COLUMNS = 256, 64  # trajectories, bytes: unpacked at a time, half a MB, to fit the cache
+PART = 16  # bits in a part of a weight: sums of 256 parts have 24 bits, as float32 holds
+NUM_PARTS = 3  # parts of a weight, which has 48 bits
+DIGITS = 1e-2  # least share of a sum that may be left by subtraction: below, digits are lost
 
 
 class Conditional(Protocol):
-    """log P(avoid c | avoid C), nats; for each task C holds the constraints that count for it.
+    """log P(avoid c | avoid C), nats; C holds, for each task, the constraints that count for it.
 
     Attributes:
-      log_ratio: [K, H] for all hypotheses; to six digits where hardly any trajectory avoids c.
+      log_ratio: [K, H] the log-probabilities; to six digits where hardly any trajectory avoids c.
     """
 
     log_ratio: np.ndarray
@@ -46,20 +47,21 @@ class Conditional(Protocol):
         ...
 
     def refined(self, indices: np.ndarray) -> LogRatio:
-        """Return the ratios [K, M] of some hypotheses to all digits, with standard errors."""
+        """Return log ratios [K, M] of some hypotheses to all digits, with standard errors."""
         ...
 
 
 def conditional(inference: Ranking, nominal: ExactNominal | None) -> Conditional:
-    """Return the ratios of an inference with no constraint in force.
+    """Return the log ratios of an inference, with no constraint in force yet.
 
     Args:
-      inference: from one demonstration or more.
-      nominal: of an exact solver, if the evidence is exact.
+      inference: inference from one demonstration or more.
+      nominal: nominal distribution of an exact solver, if the evidence is exact.
 
     Raises:
-      ValueError: if there is no demonstration; if the evidence is exact and the nominal is missing,
-        of another problem or not exact; or if the evidence was sampled and a nominal is given.
+      ValueError: if there is no demonstration; if the evidence is exact and the nominal
+        distribution is missing, not exact, or of another problem; or if the evidence was sampled
+        and a nominal distribution is given.
     """
     evidence = inference.evidence
     if not inference.demonstrations:
@@ -87,10 +89,10 @@ def conditional(inference: Ranking, nominal: ExactNominal | None) -> Conditional
 
 
 class SampledConditional:
-    """Ratios by sampled evidence.
+    """Log ratios by sampled evidence.
 
-    As long as no constraint is in force for a task, its ratios are those of the evidence, those
-    from `resolve` among them. After that the trajectories alone give the ratios.
+    While no constraint is in force for a task, the task's log ratios are those of the evidence,
+    including the ratios from `resolve`. After that, the trajectories alone give the log ratios.
     """
 
     def __init__(self, inference: Ranking) -> None:
@@ -112,7 +114,7 @@ class SampledConditional:
             self.log_ratio[k] = self._avoiding[k].log_ratio(self.log_ratio.shape[1])
 
     def refined(self, indices: np.ndarray) -> LogRatio:
-        """Return the ratios [K, M] of some hypotheses to all digits, with standard errors."""
+        """Return log ratios [K, M] of some hypotheses to all digits, with standard errors."""
         evidence = self._evidence
         value, error = (x[:, indices] for x in (evidence.log_ratio, evidence.standard_error))
         columns, place = bytes_of(indices)
@@ -130,8 +132,9 @@ class Avoiding:
       log_weight: [N] nats.
       violations: [N, B] packed bits.
       avoid_probability: [H] Z_c / Z_0 by all N trajectories.
-      ancestor: [N] index of the trajectory at the start that each descends from. Trajectories with
-        a common ancestor depend on each other; only islands are independent then.
+      ancestor: [N] index of the trajectory at the start from which each trajectory descends. Where
+        trajectories have common ancestors they depend on each other, and only islands are
+        independent.
     """
 
     def __init__(
@@ -151,8 +154,8 @@ class Avoiding:
     def _weigh(self) -> None:
         """Weigh the trajectories that are left, so that their weights sum to 1.
 
-        Weights are rounded to whole numbers of 48 bits, in parts that float32 adds up exactly:
-        sums in float32 take about half as long as in float64.
+        Weights are rounded to whole numbers of 48 bits and split in parts that float32 adds up
+        exactly: sums in float32 take about half as long as sums in float64.
         """
         self._weight = np.zeros(len(self._log_weight))
         self._weight[self._rows] = estimators.normalise(self._log_weight[self._rows])
@@ -170,12 +173,12 @@ class Avoiding:
             return
         if len(entering) < len(self._rows) and self._weight[self._rows].sum() > DIGITS:
             self._entered -= self._sum(entering)
-        else:  # fewer trajectories are left than were left out, or a difference would lose digits
+        else:  # fewer trajectories stay than leave, or the difference would lose digits
             self._weigh()
             self._entered = self._sum(self._rows)
 
     def _sum(self, rows: np.ndarray) -> np.ndarray:
-        """Return the weight [8 B] of those of some trajectories that enter each hypothesis."""
+        """Return for each hypothesis [8 B] the weight of those of `rows` that enter it."""
         total = np.zeros_like(self._entered)
         for first in range(0, len(rows), ROWS):
             some = rows[first : first + ROWS]
@@ -185,7 +188,7 @@ class Avoiding:
         return total
 
     def log_ratio(self, num_hypotheses: int) -> np.ndarray:
-        """Return the log ratios [H], nats; 0 where no trajectory is left to tell them."""
+        """Return the log ratios [H], nats; all 0 if no trajectory is left."""
         if not len(self._rows):
             return np.zeros(num_hypotheses)
         avoid = 1.0 - self._entered[:num_hypotheses] / self._weight[self._rows].sum()
@@ -196,9 +199,9 @@ class Avoiding:
         return 1.0 / estimators.effective_sample_size(self._log_weight[self._rows])
 
     def refined(self, columns: np.ndarray) -> LogRatio:
-        """Return the log ratios of the hypotheses of some bytes, eight each, and their errors."""
+        """Return log ratios and errors [8 M] of the hypotheses of M bytes, eight in each byte."""
         num_hypotheses = 8 * len(columns)
-        if not len(self._rows):  # no trajectory is left to tell them
+        if not len(self._rows):  # no trajectory is left to estimate the ratios
             return LogRatio(np.zeros(num_hypotheses), np.full(num_hypotheses, np.inf))
         estimate = estimators.avoid_probability(
             self._log_weight[self._rows],
@@ -211,9 +214,9 @@ class Avoiding:
         return estimators.log_ratio(estimate, self._resolution)
 
     def _island_variance(self, columns: np.ndarray) -> np.ndarray:
-        """Return the variance [8 M] of the probabilities of some bytes, by the spread over islands.
+        """Return the variance [8 M] of the probabilities of M bytes, by the spread over islands.
 
-        Infinite where all trajectories that are left are of one island.
+        The variance is infinite if all trajectories that are left are of one island.
         """
         num = len(self._log_weight)
         island_of = np.zeros(num, int)
@@ -228,7 +231,7 @@ class Avoiding:
 
 
 class ExactConditional:
-    """Ratios by an exact solver."""
+    """Log ratios by an exact solver."""
 
     def __init__(self, inference: Ranking, nominal: ExactNominal) -> None:
         self._tasks = inference.evidence.tasks
@@ -247,6 +250,6 @@ class ExactConditional:
             self.log_ratio[k] = answer.log_ratio
 
     def refined(self, indices: np.ndarray) -> LogRatio:
-        """Return the ratios [K, M] of some hypotheses; their standard errors are 0."""
+        """Return log ratios [K, M] of some hypotheses, with standard errors of 0."""
         value = self.log_ratio[:, indices]
         return LogRatio(value, np.zeros_like(value))

@@ -5,13 +5,14 @@ demonstrations is (see `likelihood`)
 
     log L(C) = sum_d log(eps + (1 - eps) 1[d avoids C] Z_0 / Z_C(task of d)),
 
-where for each task C holds the constraints that count for it. The next pick is the hypothesis c of
-the largest gain log L(C + c) - log L(C), which with eps = 0 is
+where, for each task, C holds the constraints that count for the task. The next pick is the
+hypothesis c of the largest gain log L(C + c) - log L(C). With eps = 0 the gain is
 
     - sum_d log P(avoid c | avoid C)    over the c that no demonstration enters,
 
-D times the fall of KL(demonstrations || pi_C), see `fitting.rewards.divergence`. Picking ends where
-the gain falls below a threshold, or one more constraint is less probable than no more.
+which is D times the decrease of KL(demonstrations || pi_C), see `fitting.rewards.divergence`.
+Picking ends when the gain falls below a threshold, or when one more constraint is less probable
+than no further constraint.
 
 Shapes: K tasks, H hypotheses, D demonstrations, M hypotheses asked for.
 """
@@ -32,24 +33,25 @@ from swerve.inference.ranking import Ranking, check_ranking
 if TYPE_CHECKING:
     from swerve.evidence.exact import ExactNominal
 
-TIED = 1e-9  # relative: closer gains are equal, and the hypothesis of the lowest index is picked
-NEAR = 1e-6  # relative: closer gains are estimated again with all their digits
+TIED = 1e-9  # relative difference: closer gains are ties, and the lowest index is picked
+NEAR = 1e-6  # relative difference: closer gains are estimated again with all digits
 
 
 class Pick(NamedTuple):
     """One picked constraint.
 
     Attributes:
-      hypothesis: its index.
-      gain: nats a demonstration by which the pick raises the log-likelihood, given the picks before
-        it; a lower bound where hardly any sample that avoids those also avoids this pick.
-      standard_error: of the gain, nats, with the picks before taken as known; by the spread over
-        islands where trajectories share ancestors; 0 where answers are exact; infinite where no
-        sample of a task is left to tell the gain, or all that are left are of one island.
-      log_partition: [K] log Z_C with this pick and all before it in force, nats.
-      total_gain: nats of all demonstrations together.
-      log_odds: log posterior odds of one more constraint, whichever, against no more at the time of
-        the pick, nats; with prior odds of 1 unless others were given.
+      hypothesis: index of the hypothesis.
+      gain: nats per demonstration by which the pick raises the log-likelihood, given the earlier
+        picks; a lower bound where hardly any sample that avoids the earlier picks also avoids this
+        pick.
+      standard_error: standard error of the gain, nats, with the earlier picks taken as known; by
+        the spread over islands where trajectories share ancestors; 0 where answers are exact;
+        infinite where no samples of a task are left, or all samples left are of one island.
+      log_partition: [K] log Z_C with this pick and all earlier picks in force, nats.
+      total_gain: gain of all demonstrations together, nats.
+      log_odds: log posterior odds, nats, of one more constraint (any hypothesis) against no further
+        constraint, at the time of the pick; with prior odds of 1 unless given.
     """
 
     hypothesis: int
@@ -71,24 +73,25 @@ def greedy(
     """Pick constraints one after another, as long as each explains enough.
 
     Args:
-      inference: from `infer`; its tolerance, margin, clearance and prior hold for every pick. The
-        trajectories of its evidence are reweighed for the picks in force. Ratios from `resolve`
-        count for the first pick; later picks rest on the trajectories alone.
-      nominal: if the evidence is exact, the nominal distribution that the evidence came from, which
-        is solved anew with the picks in force.
-      threshold: least gain [nats a demonstration].
-      odds: prior odds of one more constraint against no more; picking then also ends where the
-        posterior odds are below 1. The posterior odds are the prior odds times the mean of
-        exp(total gain) over the hypotheses not picked yet, weighted by their prior, 0 for those
-        struck out. None leaves this rule out.
-      most: most picks; any number if None.
+      inference: inference from `infer`; its tolerance, margin, clearance and prior hold for every
+        pick. The trajectories of its evidence are reweighed for the picks in force. Ratios from
+        `resolve` count for the first pick; later picks use the trajectories alone.
+      nominal: if the evidence is exact, the nominal distribution that the evidence came from. It is
+        solved again with the picks in force.
+      threshold: least gain of a pick [nats per demonstration].
+      odds: prior odds of one more constraint against no further constraint; picking then also ends
+        when the posterior odds are below 1. The posterior odds are the prior odds times the mean of
+        exp(total gain) over the hypotheses not yet picked, weighted by their prior; struck-out
+        hypotheses count as 0. None leaves this rule out.
+      most: largest number of picks; no limit if None.
 
     Returns:
       The picks, in order. Warnings about the samples are in `inference.warnings`.
 
     Raises:
-      ValueError: if there is no demonstration, the threshold is below zero or no number, the odds
-        are not above 0, or the evidence is exact and the nominal that it came from is not given.
+      ValueError: if there is no demonstration, the threshold is not a number or is below 0, the
+        odds are not above 0, or the evidence is exact and the nominal distribution that it came
+        from is not given.
     """
     check_ranking(inference)
     expected = "a number >= 0 (nats a demonstration)"
@@ -113,7 +116,7 @@ def greedy(
 
 
 def _best(inference: Ranking, in_force: InForce, ratios: Conditional) -> Pick | None:
-    """Return the hypothesis of the largest gain among those left, None if no gain is above 0."""
+    """Return the hypothesis of the largest gain among those left; None if no gain is above 0."""
     num = in_force.num_demonstrations
     total_gain = in_force.gains(ratios.log_ratio)
     near = in_force.near_best(total_gain)
@@ -138,7 +141,7 @@ def _best(inference: Ranking, in_force: InForce, ratios: Conditional) -> Pick | 
 
 
 class InForce:
-    """Constraints in force, and the gain of one more.
+    """Constraints in force, and the gain of one more constraint.
 
     Attributes:
       left: [H] True for hypotheses that may be picked.
@@ -156,7 +159,7 @@ class InForce:
         self.num_demonstrations = len(inference.demonstrations)
 
     def add(self, index: int, log_partition: np.ndarray) -> None:
-        """Put one more in force, given log Z_C [K] with it, nats."""
+        """Put one more hypothesis in force, given log Z_C [K] with this hypothesis, nats."""
         inference = self._inference
         self.left[index], self._is_picked[index] = False, True
         self.log_partition = log_partition
@@ -167,7 +170,7 @@ class InForce:
 
     @property
     def _log_share(self) -> np.ndarray:
-        """[K] log Z_C / Z_0, nats; 0 where no demonstration avoids C, since it may be infinite."""
+        """[K] log Z_C / Z_0, nats; 0 where no demonstration avoids C, since the log may be -inf."""
         share = self.log_partition - self._inference.evidence.log_partition
         task_of = self._inference.task_of[self._is_obeyed]
         return np.where(np.bincount(task_of, minlength=len(share)) > 0, share, 0.0)
@@ -185,9 +188,9 @@ class InForce:
     def gains(self, log_ratio: np.ndarray, indices: np.ndarray | None = None) -> np.ndarray:
         """Return log L(C + c) - log L(C) [M], nats; infinite where no trajectory can avoid c.
 
-        A demonstration that enters C already gains nothing. A demonstration that avoids C and c
-        gains more where fewer trajectories that avoid C avoid c as well; its likelihood falls to
-        eps where it enters c.
+        A demonstration that already enters C adds no gain. A demonstration that avoids C and c adds
+        more gain, the fewer of the trajectories that avoid C also avoid c. The likelihood of a
+        demonstration that avoids C and enters c falls to eps.
 
         Args:
           log_ratio: [K, M] log P(avoid c | avoid C), nats.
@@ -196,7 +199,7 @@ class InForce:
         tolerance = self._inference.tolerance
         counts = self._counts_at(indices)
         before = likelihood.avoiding_term(self._log_share, tolerance)[:, None]
-        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # else it may be inf
+        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # unused ratios may be infinite
         after = likelihood.avoiding_term(self._log_share[:, None] + log_ratio, tolerance)
         gain = counts.avoiding * (after - before)
         if tolerance > 0.0:
@@ -210,7 +213,7 @@ class InForce:
 
     def gain_error(self, index: int, log_ratio: LogRatio) -> float:
         """Return the standard error of the gain of one more hypothesis, given its log ratios."""
-        used = self._counts.avoiding[:, index] > 0  # else both may be inf
+        used = self._counts.avoiding[:, index] > 0  # unused ratios and errors may be infinite
         num, log_share = self._counts.avoiding[used, index], self._log_share[used]
         slope = likelihood.sensitivity(log_share + log_ratio.value[used], self._inference.tolerance)
         return float(np.linalg.norm(num * slope * log_ratio.standard_error[used]))
@@ -225,7 +228,7 @@ class InForce:
         return np.flatnonzero(gain >= best - max(NEAR * best, 2.0 * TIED))
 
     def log_bayes_factor(self, total_gain: np.ndarray) -> float:
-        """Return log P(demonstrations | C and one more) / P(demonstrations | C), nats."""
+        """Return log P(demonstrations | C and one more pick) / P(demonstrations | C), nats."""
         prior = np.where(np.r_[False, self._is_picked], 0.0, self._inference.prior)
         if not prior[1:].any():
             return -math.inf

@@ -1,4 +1,4 @@
-"""Judge demonstrations: do they fit the problem, which tasks are theirs, what do they enter?
+"""Judge demonstrations: whether they fit the problem, their tasks, and the hypotheses entered.
 
 Shapes: D demonstrations, L states, n state dimensions, m action dimensions, H hypotheses.
 """
@@ -31,16 +31,17 @@ AT_ONCE = 64  # demonstrations judged together: bounds the memory for their stat
 def judge(
     demonstrations: Sequence[Demonstration], evidence: Evidence, hypotheses: HypothesisSet
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check demonstrations; return their tasks in the evidence [D] and what they enter [D, H].
+    """Check demonstrations; return their tasks in the evidence [D], and True [D, H] where entered.
 
     Args:
-      demonstrations: finished ones.
-      evidence: of their tasks.
-      hypotheses: H regions that they may enter: the hypotheses of the problem, less a margin where
-        measurement noise is allowed for.
+      demonstrations: finished demonstrations.
+      evidence: evidence for the tasks of all demonstrations.
+      hypotheses: H regions that demonstrations may enter: the hypotheses of the problem, less a
+        margin where measurement noise is allowed for.
 
     Raises:
-      ValueError: if one is no Demonstration, does not fit the problem, or its task has no evidence.
+      ValueError: if an item is not a Demonstration or does not fit the problem, or its task has no
+        evidence.
     """
     for item in demonstrations:
         if not isinstance(item, Demonstration):
@@ -108,7 +109,7 @@ def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
 
 
 def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool) -> Actions | None:
-    """Return the actions of a demonstration [L-1, m], None where they are not needed."""
+    """Return the actions [L-1, m] of a demonstration; None where no actions are needed."""
     if not needed:
         return None
     names, values = problem.action_names, demonstration.actions

@@ -4,8 +4,9 @@ A demonstration d of task k ignores the constraint with probability eps (the tol
 
     L_d(c) = eps + (1 - eps) 1[d avoids c] Z_0 / Z_c(task_k),    log L(c) = sum_d log L_d(c).
 
-With eps = 0 (the paper) a demonstration that enters c rules c out. A task says nothing of a
-hypothesis beside its start or goal: no demonstration of the task enters there, constraint or not.
+With eps = 0 (the paper) a demonstration that enters c rules c out. A task tells nothing about a
+hypothesis beside its start or goal: no demonstration of the task enters that hypothesis, whether
+the constraint holds or not.
 
 Shapes: K tasks, D demonstrations, H hypotheses.
 """
@@ -24,19 +25,19 @@ if TYPE_CHECKING:
     from swerve.hypotheses.base import HypothesisSet
     from swerve.problem.record import ProblemRecord
 
-THRESHOLD = 0.1  # nats a demonstration: the least gain for which greedy selection picks
-MAX_TOLERANCE = 0.5  # probability: a constraint ignored more often than not tells nothing
-NUM_TOLERANCES = 61  # tolerances tried first, evenly spaced in their logs
+THRESHOLD = 0.1  # nats per demonstration: the least gain for which greedy selection picks
+MAX_TOLERANCE = 0.5  # probability: above, a constraint would be ignored more often than obeyed
+NUM_TOLERANCES = 61  # tolerances tried first, with evenly spaced logs
 LEAST_TOLERANCE = 1e-6  # probability: the smallest tolerance tried
-SAME_TOLERANCE = 1e-3  # difference of logs down to which the least tolerance is refined
+SAME_TOLERANCE = 1e-3  # difference of logs: precision of the least tolerance
 
 
 class Counts(NamedTuple):
-    """How many demonstrations of each task speak for and against each hypothesis.
+    """The numbers of demonstrations of each task that speak for and against each hypothesis.
 
     Attributes:
-      avoiding: [K, H].
-      entering: [K, H].
+      avoiding: [K, H] demonstrations that avoid the hypothesis.
+      entering: [K, H] demonstrations that enter the hypothesis.
     """
 
     avoiding: np.ndarray
@@ -44,11 +45,11 @@ class Counts(NamedTuple):
 
 
 def log_likelihood(log_ratio: np.ndarray, counts: Counts, tolerance: float) -> np.ndarray:
-    """Return log L [..., H], nats; -inf where ruled out.
+    """Return log L [..., H], nats; -inf where a hypothesis is ruled out.
 
     Args:
-      log_ratio: [..., K, H] log Z_c / Z_0, nats; finite where `counts` are not zero.
-      counts: of the demonstrations.
+      log_ratio: [..., K, H] log Z_c / Z_0, nats; finite where the counts are not 0.
+      counts: counts of the demonstrations.
       tolerance: eps.
     """
     value = (counts.avoiding * avoiding_term(log_ratio, tolerance)).sum(axis=-2)
@@ -73,11 +74,11 @@ def sensitivity(log_ratio: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def checked_tolerance(tolerance: float) -> float:
-    """Return eps.
+    """Return the tolerance eps after checking it.
 
     Raises:
       ValueError: if eps is not from 0 to MAX_TOLERANCE: demonstrations that ignore a constraint
-        more often than not tell next to nothing of it.
+        more often than not tell almost nothing about the constraint.
     """
     expected = (
         f"the probability that a demonstration ignores the constraint, from 0 to {MAX_TOLERANCE}"
@@ -91,21 +92,21 @@ def checked_tolerance(tolerance: float) -> float:
 def is_counted(
     problem: ProblemRecord, tasks: Task, clearance: float | None, judged: HypothesisSet
 ) -> np.ndarray:
-    """Return [K, H] whether demonstrations of a task count for or against a hypothesis.
+    """Return [K, H] True where demonstrations of a task count for or against a hypothesis.
 
-    They do not count where an end of the task lies within the clearance of the hypothesis. With a
-    margin they do not count either where an end lies in the hypothesis but less deep than the
-    margin: every nominal trajectory enters there, and a demonstration that goes no deeper would be
-    taken for strong evidence of the constraint.
+    Demonstrations do not count where an end of the task lies within the clearance of the
+    hypothesis. With a margin, they also do not count where an end lies in the hypothesis but less
+    deep than the margin: every nominal trajectory enters the hypothesis there, and a demonstration
+    that goes no deeper would be taken for strong evidence of the constraint.
 
     Args:
-      problem: with the hypotheses.
+      problem: problem with the hypotheses.
       tasks: K tasks; a goal is an end of its task only where goals are states.
       clearance: the distance, in the units of the states that a hypothesis names, or None.
       judged: the hypotheses less the margin; the hypotheses themselves without a margin.
 
     Raises:
-      ValueError: if the clearance is negative or no number, or a hypothesis has no distance.
+      ValueError: if the clearance is negative or not a number, or a hypothesis has no distance.
     """
     space, hypotheses = problem.space, problem.hypotheses
     counted = np.ones((len(tasks.start), len(hypotheses)), bool)
@@ -128,13 +129,13 @@ def is_counted(
 
 
 def least_tolerance(log_ratio: np.ndarray, counts: Counts, log_prior: np.ndarray) -> float | None:
-    """Return the least eps with which a hypothesis is more probable than no constraint.
+    """Return the least eps for which a hypothesis is more probable than no constraint.
 
-    None where no tolerance up to MAX_TOLERANCE does.
+    Return None if there is no such eps up to MAX_TOLERANCE.
 
     Args:
-      log_ratio: [K, H] nats, finite where `counts` are not zero.
-      counts: of the demonstrations.
+      log_ratio: [K, H] log Z_c / Z_0, nats; finite where the counts are not 0.
+      counts: counts of the demonstrations.
       log_prior: [H] log prior(c) / P(none), nats.
     """
 

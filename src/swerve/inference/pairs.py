@@ -3,11 +3,13 @@
     log L(a, b) = sum_d log(eps + (1 - eps) 1[d avoids a, b] Z_0 / Z_ab(task of d)),
     Z_ab / Z_0 = 1 - P(enter a) - P(enter b) + P(enter a and b) >= 1 - P(enter a) - P(enter b).
 
-Greedy selection need not find this pair: two constraints can together explain demonstrations that
-neither explains alone. P(enter a and b) of all pairs is one matrix product a task. The inequality
-rules out, before any product, pairs that cannot be the best, and more of them after each task.
+Greedy selection may miss this pair: two constraints together can explain demonstrations that
+neither constraint explains alone. P(enter a and b) of all pairs is one matrix product per task.
+Before any product, the inequality rules out pairs that cannot be the best. After each task, it
+rules out more pairs.
 
-Shapes: K tasks, D demonstrations, N trajectories, H hypotheses, R and C of them, rows and columns.
+Shapes: K tasks, D demonstrations, N trajectories, H hypotheses, of these R as rows and C as
+columns.
 """
 
 from __future__ import annotations
@@ -27,18 +29,18 @@ from swerve.inference.ranking import Ranking, check_ranking
 if TYPE_CHECKING:
     from swerve.evidence.exact import ExactNominal
 
-BLOCK = 256  # rows and columns of a matrix product: bounds its memory
+BLOCK = 256  # rows and columns of a matrix product: bounds the memory
 
 
 class Pair(NamedTuple):
     """Two constraints in force together.
 
     Attributes:
-      hypotheses: their indices, the lower one first.
+      hypotheses: indices of the two hypotheses, the lower index first.
       log_likelihood: log-likelihood ratio of both against no constraint, nats; a lower bound where
         hardly any sample avoids both.
-      standard_error: of the log-likelihood ratio, nats; 0 where answers are exact.
-      log_partition: [K] log Z with both in force, nats.
+      standard_error: standard error of `log_likelihood`, nats; 0 where answers are exact.
+      log_partition: [K] log Z with both constraints in force, nats.
     """
 
     hypotheses: tuple[int, int]
@@ -50,23 +52,23 @@ class Pair(NamedTuple):
 def best_pair(inference: Ranking, nominal: ExactNominal | None = None) -> Pair:
     """Return the two hypotheses that together explain the demonstrations best.
 
-    With a tolerance one hypothesis alone may explain more than any pair: compare with the largest
-    `inference.log_likelihood`.
+    With a tolerance, a single hypothesis may explain more than any pair: compare the pair with the
+    largest `inference.log_likelihood`.
 
     Every pair is tried, or ruled out by a bound. The work grows with the square of the number of
     hypotheses that explain anything. An exact solver solves once for each such hypothesis.
 
     Args:
-      inference: from `infer`; its tolerance, margin and clearance hold for the pair. With sampled
-        evidence the trajectories alone count, not the ratios from `resolve`.
+      inference: inference from `infer`; its tolerance, margin and clearance hold for the pair. With
+        sampled evidence the trajectories alone count, not the ratios from `resolve`.
       nominal: if the evidence is exact, the nominal distribution that the evidence came from.
 
     Raises:
       ValueError: if there is no demonstration, fewer than two hypotheses are left, no two of them
-        can be avoided together, or the evidence is exact and its nominal is not given.
+        can be avoided together, or the evidence is exact and its nominal distribution is not given.
     """
     check_ranking(inference)
-    conditional(inference, nominal)  # checks that both go together
+    conditional(inference, nominal)  # checks that the nominal distribution fits the evidence
     left = np.flatnonzero(~inference.struck_out)
     if len(left) < 2:
         raise ValueError(
@@ -135,8 +137,8 @@ class _Samples:
     """Log-likelihood ratios of pairs of hypotheses by samples, task by task.
 
     Args:
-      inference: of sampled evidence.
-      ordered: [M] the hypotheses; rows and columns below are places among these.
+      inference: inference with sampled evidence.
+      ordered: [M] the hypotheses; the methods' rows and columns are places in this array.
     """
 
     def __init__(self, inference: Ranking, ordered: np.ndarray) -> None:
@@ -154,9 +156,10 @@ class _Samples:
         self._avoids = [~enters[inference.task_of == k] for k in range(evidence.num_tasks)]
 
     def most(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return an upper bound [R] of each row's log-likelihood with any of the columns, nats.
+        """Return an upper bound [R] of each row's log-likelihood with any column, nats.
 
-        At most as many demonstrations avoid both hypotheses as avoid the row's.
+        The number of demonstrations that avoid both hypotheses is at most the number that avoid the
+        row's hypothesis.
         """
         bound = np.zeros(len(rows))
         for k in self.tasks:
@@ -196,7 +199,7 @@ class _Samples:
 
 
 def _search(samples: _Samples, known: Pair | None) -> tuple[int, int]:
-    """Return the best pair; the known pair if no other is better."""
+    """Return the best pair; the known pair if no other pair is better."""
     best = -math.inf if known is None else known.log_likelihood
     pair = None if known is None else known.hypotheses
     places = np.arange(len(samples.ordered))
@@ -223,7 +226,8 @@ def _values(
     """Return the rows and columns of pairs better than `least`, and their values [R, C].
 
     The values start as upper bounds. Task after task replaces its bound by its value, and rows and
-    columns without a pair above `least` are left out. -inf where the column is not after the row.
+    columns without a pair above `least` are left out. Values are -inf where the column is not after
+    the row.
     """
     value = np.where(rows[:, None] < columns, 0.0, -np.inf)
     for k in samples.tasks:

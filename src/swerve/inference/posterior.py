@@ -1,12 +1,12 @@
-"""Compute the posterior: does a demonstrator obey no constraint, or one of the hypotheses?
+"""Compute the posterior probabilities of no constraint and of each hypothesis.
 
     P(c | demonstrations) ~ prior(c) L(c),    L(none) = 1,
 
-with likelihood ratios L against no constraint. P(none) is 1/2 before any demonstration unless a
-prior says otherwise: with equal priors "none" could never win, since each hypothesis left has
-L(c) >= 1.
+with likelihood ratios L against no constraint. Before any demonstration P(none) is 1/2, unless a
+prior is given. If "none" had the same prior as each hypothesis, "none" could never win, since each
+hypothesis that is not ruled out has L(c) >= 1.
 
-Shapes: H hypotheses; probabilities [..., H + 1] begin with that of no constraint.
+Shapes: H hypotheses; probabilities [..., H + 1] begin with P(no constraint).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Prior = float | Sequence[float] | np.ndarray | None
 
 
 class Posterior(NamedTuple):
-    """How probable each answer is, with standard errors from sampling.
+    """The probability of each answer, with standard errors from sampling.
 
     Attributes:
       none: probability of no constraint.
@@ -43,7 +43,7 @@ class Posterior(NamedTuple):
 
 
 class CredibleSet(NamedTuple):
-    """The fewest answers whose probabilities sum to at least a given one.
+    """The fewest answers whose probabilities sum to at least a given probability.
 
     Attributes:
       has_none: whether "no constraint" is one of the answers.
@@ -57,16 +57,16 @@ class CredibleSet(NamedTuple):
 
 
 def checked_prior(prior: Prior, num_hypotheses: int) -> np.ndarray:
-    """Return the prior [H + 1], that of no constraint first.
+    """Return the checked prior [H + 1], with P(no constraint) first.
 
     Args:
-      prior: [H + 1] probabilities, no constraint first; or P(none) alone, the rest shared alike by
-        the hypotheses; 1/2 if None.
+      prior: [H + 1] probabilities, P(no constraint) first; or P(no constraint) alone, and the
+        hypotheses share the rest equally; P(no constraint) = 1/2 if None.
       num_hypotheses: H.
 
     Raises:
-      ValueError: if a probability is negative or not finite, they do not sum to 1, there are not
-        H + 1 of them, or P(none) alone is not between 0 and 1.
+      ValueError: if a probability is negative or not finite, the probabilities do not sum to 1,
+        there are not H + 1 probabilities, or a single P(no constraint) is not between 0 and 1.
     """
     if prior is None:
         prior = NONE
@@ -102,8 +102,8 @@ def posterior(log_likelihood: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """Return the probabilities [..., H + 1] of no constraint and of each hypothesis.
 
     Args:
-      log_likelihood: [..., H] log-likelihood ratios against no constraint, nats; -inf where ruled
-        out.
+      log_likelihood: [..., H] log-likelihood ratios against no constraint, nats; -inf where a
+        hypothesis is ruled out.
       prior: [H + 1] as `checked_prior` returns it.
 
     Raises:
@@ -126,11 +126,11 @@ def posterior(log_likelihood: np.ndarray, prior: np.ndarray) -> np.ndarray:
 def log_bayes_factor(log_likelihood: np.ndarray, prior: np.ndarray) -> float:
     """Return log P(demonstrations | some constraint) / P(demonstrations | none), nats.
 
-    -inf where every hypothesis is ruled out, or the prior allows none.
+    The value is -inf if every hypothesis is ruled out, or the prior allows no hypothesis.
 
     Args:
-      log_likelihood: [H] nats.
-      prior: [H + 1]; the hypotheses are weighed by their part of it.
+      log_likelihood: [H] log-likelihood ratios, nats.
+      prior: [H + 1]; its last H numbers weigh the hypotheses.
     """
     if not prior[1:].any():
         return -np.inf
@@ -141,7 +141,7 @@ def log_bayes_factor(log_likelihood: np.ndarray, prior: np.ndarray) -> float:
 
 
 def jackknife_error(replicates: np.ndarray) -> np.ndarray:
-    """Return the standard error [...] of an estimate from its values [I, ...] without one part.
+    """Return the standard error [...] of an estimate from its values [I, ...], each without a part.
 
     se^2 = (I - 1) / I sum_i (p_i - mean p)^2
     """
@@ -153,7 +153,7 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
     """Return the fewest answers whose probabilities sum to at least `least`.
 
     Args:
-      found: how probable the answers are.
+      found: probabilities of the answers.
       least: more than 0 and less than 1.
 
     Raises:
@@ -171,11 +171,11 @@ def credible_set(found: Posterior, least: float) -> CredibleSet:
 
 
 def of_scores(scores: Scores) -> Posterior:
-    """Return the posterior of an scores.
+    """Return the posterior that follows from scores.
 
-    Without demonstrations it is the prior. Its errors come from leaving out one island of the
-    samples after another, of all tasks at once; ratios worked out with the constraint in force, and
-    bounds, have errors of their own.
+    Without demonstrations the posterior is the prior. Standard errors come from leaving out one
+    island of the samples after another, for all tasks at once. Ratios that were sampled with the
+    constraint in force, and bounds, contribute their own errors.
     """
     evidence = scores.evidence
     if not scores.demonstrations:
@@ -187,8 +187,8 @@ def of_scores(scores: Scores) -> Posterior:
         return Posterior(float(value[0]), 0.0, value[1:], np.zeros(len(value) - 1))
     used = scores.is_used[tasks]
     has_own_error = (evidence.is_resolved | evidence.is_floored)[tasks] & used
-    # one island may hold all trajectories that avoid c: without it the probability is at least
-    # one trajectory's share
+    # one island may hold all trajectories that avoid c: without this island the probability is
+    # at least one trajectory's share
     without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
     without = np.maximum(without, evidence.resolution[tasks][:, None])
     from_islands = np.log(np.where(used & ~has_own_error, without, 1.0))
@@ -216,9 +216,10 @@ def _propagated_error(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 
 def least_tolerance(scores: Scores) -> float | None:
-    """Return the least tolerance with which a hypothesis is more probable than no constraint.
+    """Return the least tolerance for which a hypothesis is more probable than no constraint.
 
-    None where one is more probable already, or none would be up to the largest tolerance.
+    Return None if a hypothesis is more probable already, or if none would be up to the largest
+    tolerance.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         log_odds = np.log(scores.prior[1:]) - np.log(scores.prior[0])

@@ -1,8 +1,8 @@
-"""Rank the hypotheses: which constraint do demonstrations obey?
+"""Rank the hypotheses by how well each explains the demonstrations.
 
-The most likely constraint is the one that no demonstration enters although the nominal distribution
-would have entered it most often (see `scores`). A ranking holds numbers; `swerve.answer` adds
-words, tables and pictures.
+The most likely constraint is the hypothesis that no demonstration enters, although trajectories of
+the nominal distribution enter it most often (see `scores`). A ranking holds numbers;
+`swerve.answer` adds words, tables and pictures.
 
 Shapes: D demonstrations, K tasks, H hypotheses.
 """
@@ -28,7 +28,7 @@ from swerve.inference.scores import Scores
 
 SCORES = ("likelihood", "average")
 TIE_ERRORS = 2.0  # standard errors within which two scores cannot be told apart
-ROUNDING = 9  # decimal digits of a score: two scores that agree in them are equal
+ROUNDING = 9  # decimal digits: two scores that agree to these digits are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +70,10 @@ class Ranking(Scores):
         return empty.add(*demonstrations)
 
     def add(self, *demonstrations: Demonstration) -> Self:
-        """Return the ranking by these finished demonstrations as well.
+        """Return the ranking with these finished demonstrations added.
 
         Raises:
-          ValueError: if one has no evidence for its task, or does not fit the problem.
+          ValueError: if a demonstration has no evidence for its task, or does not fit the problem.
         """
         if not demonstrations:
             return self
@@ -87,16 +87,17 @@ class Ranking(Scores):
 
     @cached_property
     def ranking(self) -> np.ndarray:
-        """Hypotheses that are left, best first; equal scores in order of index."""
+        """Hypotheses that are not struck out, best first; equal scores in order of index."""
         order = np.argsort(-self.score.round(ROUNDING), kind="stable")
         return order[: np.count_nonzero(~self.struck_out)]
 
     @cached_property
     def rank(self) -> np.ndarray:
-        """Rank of each entry of `ranking`, from 1; ties share the rank of their first.
+        """Rank of each entry of `ranking`, from 1; tied entries share the rank of the first.
 
-        Two are tied where their scores differ by at most twice the sum of their standard errors,
-        which bounds the error of the difference however the samples are correlated, or by rounding.
+        Two hypotheses are tied where their scores differ by rounding alone, or by at most twice the
+        sum of their standard errors. That sum bounds the error of the difference, however the
+        samples are correlated.
         """
         score, error = self.score[self.ranking], self.score_error[self.ranking]
         rank = np.ones(len(score), int)
@@ -115,30 +116,30 @@ class Ranking(Scores):
 
     @property
     def is_ruled_out(self) -> bool:
-        """Whether everything that the prior allows is ruled out: there is no posterior then."""
+        """Whether every answer that the prior allows is ruled out: then there is no posterior."""
         return not self.prior[0] and bool((self.struck_out | (self.prior[1:] == 0.0)).all())
 
     @cached_property
     def posterior(self) -> Posterior:
-        """How probable no constraint and each hypothesis are, with their standard errors.
+        """The probabilities of no constraint and of each hypothesis, with standard errors.
 
         Raises:
-          ValueError: if everything that the prior allows is ruled out.
+          ValueError: if every answer that the prior allows is ruled out.
         """
         return posterior.of_scores(self)
 
     @property
     def log_bayes_factor(self) -> float:
-        """Log-likelihood ratio of some constraint, whichever, against no constraint [nats].
+        """Log-likelihood ratio of some constraint (any hypothesis) against no constraint [nats].
 
-        0 without demonstrations.
+        The ratio is 0 without demonstrations.
         """
         if not self.demonstrations:
             return 0.0
         return posterior.log_bayes_factor(self.log_likelihood, self.prior)
 
     def credible_set(self, probability: float = 0.95) -> CredibleSet:
-        """Return the fewest answers that together have at least a probability.
+        """Return the fewest answers whose probabilities sum to at least a given probability.
 
         Raises:
           ValueError: if the probability is not between 0 and 1.
@@ -147,9 +148,10 @@ class Ranking(Scores):
 
     @cached_property
     def least_tolerance(self) -> float | None:
-        """The least tolerance with which a hypothesis is more probable than no constraint.
+        """The least tolerance for which a hypothesis is more probable than no constraint.
 
-        None where one is more probable already, or none would be up to the largest tolerance.
+        None if a hypothesis is more probable already, or if none would be up to the largest
+        tolerance.
         """
         return posterior.least_tolerance(self)
 
@@ -159,7 +161,7 @@ class Ranking(Scores):
         return [demonstration.name for demonstration, k in pairs if k == task]
 
     def task_name(self, task: int) -> str:
-        """Return the names of the first demonstrations of a task; its number if it has none."""
+        """Return the names of a task's first demonstrations; the task's number if it has none."""
         names = self.demonstrations_of(task)
         return some_names(names) if names else f"task {task}"
 

@@ -1,11 +1,11 @@
-"""What demonstrations say of each hypothesis: log-likelihood ratios and their standard errors.
+"""Score each hypothesis by demonstrations: log-likelihood ratios and their standard errors.
 
 Demonstrations that all avoid c have, against no constraint at all, the log-likelihood ratio
 
     log L(c) = - sum_i log(Z_c / Z_0)(task_i) >= 0 nats.
 
-A demonstration that enters c rules c out, unless demonstrations may ignore the constraint now and
-then (see `likelihood`).
+A demonstration that enters c rules c out, unless demonstrations may sometimes ignore the constraint
+(see `likelihood`).
 
 Shapes: D demonstrations, K tasks, H hypotheses.
 """
@@ -23,13 +23,13 @@ from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.base import HypothesisSet
 from swerve.inference import likelihood
 
-FEW_AVOID = 0.5  # nats: standard error of a ratio that fewer than four trajectories tell
-SETTLED = 0.09  # nats: standard error of a ratio that was sampled with its constraint in force
+FEW_AVOID = 0.5  # nats: a larger standard error shows that fewer than four trajectories avoid
+SETTLED = 0.09  # nats: largest standard error of a ratio sampled with the constraint in force
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """How well each hypothesis explains the demonstrations.
+    """Measures of how well each hypothesis explains the demonstrations.
 
     Attributes:
       evidence: violation probabilities of the hypotheses, task by task.
@@ -37,10 +37,10 @@ class Scores:
       task_of: [D] index of each demonstration's task in the evidence.
       entered: [D, H] True where a demonstration enters a hypothesis.
       score_name: "likelihood" or "average".
-      is_counted: [K, H] False where a task says nothing of a hypothesis near its start or goal.
+      is_counted: [K, H] False where a task tells nothing about a hypothesis near its start or goal.
       tolerance: eps, the probability that a demonstration ignores the constraint.
-      prior: [H + 1] probabilities before the demonstrations, that of no constraint first.
-      judged: what demonstrations are held against: the hypotheses, less a margin for noise.
+      prior: [H + 1] probabilities before the demonstrations, P(no constraint) first.
+      judged: regions that demonstrations must not enter: the hypotheses, less a margin for noise.
     """
 
     evidence: Evidence
@@ -55,14 +55,14 @@ class Scores:
 
     @cached_property
     def task_counts(self) -> np.ndarray:
-        """[K] demonstrations of each task; all 1 where there are none (the prior ranking)."""
+        """[K] number of demonstrations per task; all 1 without demonstrations (prior ranking)."""
         if not self.demonstrations:
             return np.ones(self.evidence.num_tasks, int)
         return np.bincount(self.task_of, minlength=self.evidence.num_tasks)
 
     @cached_property
     def counts(self) -> likelihood.Counts:
-        """[K, H] how many demonstrations avoid and enter each hypothesis, where they count."""
+        """[K, H] numbers of demonstrations, where they count, that avoid and enter a hypothesis."""
         entering = np.zeros(self.is_counted.shape)
         np.add.at(entering, self.task_of, self.entered.astype(float))
         avoiding = self.task_counts[:, None] - entering
@@ -75,14 +75,14 @@ class Scores:
 
     @cached_property
     def impossible(self) -> np.ndarray:
-        """[H] True where, by exact evidence, no trajectory of one of the tasks avoids it."""
+        """[H] True where, by exact evidence, no trajectory of some task avoids a hypothesis."""
         if not self.evidence.is_exact:
             return np.zeros(len(self.prior) - 1, bool)
         return np.asarray((np.isneginf(self.evidence.log_ratio) & self.is_used).any(axis=0))
 
     @cached_property
     def struck_out(self) -> np.ndarray:
-        """[H] True where a demonstration enters the hypothesis, or no trajectory can avoid it.
+        """[H] True where a demonstration enters a hypothesis, or no trajectory can avoid it.
 
         With a tolerance above 0 no demonstration rules a hypothesis out.
         """
@@ -92,13 +92,13 @@ class Scores:
 
     @cached_property
     def log_likelihood(self) -> np.ndarray:
-        """[H] log-likelihood ratio against no constraint [nats]; -inf where struck out."""
+        """[H] log-likelihood ratio against no constraint [nats]; -inf if struck out."""
         value = likelihood.log_likelihood(self.finite_log_ratio, self.counts, self.tolerance)
         return np.where(self.struck_out, -np.inf, value)
 
     @cached_property
     def contributions(self) -> np.ndarray:
-        """[D, H] what each demonstration adds to `log_likelihood` [nats]; -inf: rules out."""
+        """[D, H] amount that each demonstration adds to `log_likelihood` [nats]; -inf rules out."""
         avoiding = likelihood.avoiding_term(self.finite_log_ratio, self.tolerance)[self.task_of]
         entering = math.log(self.tolerance) if self.tolerance > 0.0 else -np.inf
         added = np.where(self.entered, entering, avoiding)
@@ -106,12 +106,12 @@ class Scores:
 
     @cached_property
     def finite_log_ratio(self) -> np.ndarray:
-        """[K, H] log Z_c / Z_0, nats; 0 where no demonstration uses a ratio, finite or not."""
+        """[K, H] log Z_c / Z_0, nats; replaced by 0 where no demonstration uses the ratio."""
         return np.where(self.is_used & ~self.impossible, self.evidence.log_ratio, 0.0)
 
     @cached_property
     def sensitivity(self) -> np.ndarray:
-        """[K, H] by how much `log_likelihood` falls as log Z_c / Z_0 of a task rises."""
+        """[K, H] minus the derivative of `log_likelihood` by log Z_c / Z_0 of each task."""
         slope = likelihood.sensitivity(self.finite_log_ratio, self.tolerance)
         return np.where(self.struck_out, 0.0, self.counts.avoiding * slope)
 
@@ -130,16 +130,16 @@ class Scores:
 
     @cached_property
     def is_lower_bound(self) -> np.ndarray:
-        """[H] True where almost every nominal trajectory of a task enters: see `is_floored`."""
+        """[H] True where almost every nominal trajectory of a task enters, see `is_floored`."""
         floored = self.evidence.is_floored & self.is_used
         return np.asarray(floored.any(axis=0))
 
     @cached_property
     def is_open(self) -> np.ndarray:
-        """[K, H] True where `resolve` can help: a ratio that matters is a bound, or few avoid.
+        """[K, H] True where `resolve` can help: a ratio in use is a bound, or few avoid.
 
         False where `resolve` was tried, where a task starts inside the hypothesis, and where log
-        Z_0 itself is too uncertain: it may take half of the error.
+        Z_0 is too uncertain: half of the allowed error may come from log Z_0.
         """
         evidence = self.evidence
         able = (self.task_counts > 0) & ~evidence.has_too_few
@@ -154,14 +154,14 @@ class Scores:
 
     @property
     def score(self) -> np.ndarray:
-        """[H] the number that hypotheses are ranked by; -inf where struck out."""
+        """[H] the number by which hypotheses are ranked; -inf where struck out."""
         if self.score_name == "likelihood":
             return self.log_likelihood
         return np.where(self.struck_out, -np.inf, self.average_violation)
 
     @cached_property
     def task_error(self) -> np.ndarray:
-        """[K, H] what the demonstrations of each task add to the standard error of `score`."""
+        """[K, H] amount that a task's demonstrations add to the standard error of `score`."""
         if self.score_name == "likelihood":
             return self.sensitivity * self.evidence.standard_error
         num = self.task_counts[:, None] * self.is_counted
