@@ -62,7 +62,7 @@ def test_demonstrations_are_watched_side_by_side() -> None:
         ('{"theta": 1', "one JSON object or array a line"),
         ("3", "expected an object or an array, got 3"),
         ("[1.0]", r"expected 2 numbers, got \[1.0\]"),
-        ('{"theta": 1.0}', "expected the states theta, x, no x came"),
+        ('{"theta": 1.0}', "expected the states theta, x, got no x"),
         ('{"theta": "a", "x": 1.0}', r"expected numbers, got \['a', 1.0\]"),
         ('{"theta": null, "x": 1.0}', "expected numbers"),
         ('{"theta": true, "x": 1.0}', "expected numbers"),
@@ -100,4 +100,4 @@ def test_bad_options_are_refused_before_the_first_line() -> None:
 
 def test_an_unknown_id_is_refused_where_there_are_several_tasks() -> None:
     answer = make_watch(NAMED).answer(json.dumps(START))
-    assert answer["error"] == "id '': expected that of one of 3 tasks, such as 'demo_0'"
+    assert answer["error"] == "id '': expected the id of one of 3 tasks, such as 'demo_0'"

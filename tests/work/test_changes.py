@@ -63,7 +63,7 @@ def test_a_change_that_no_source_shows_is_noticed_when_the_problem_is_loaded(
     assert "max_torque=2" in out
     [path] = work.glob("*.evidence")
     assert Evidence.load(path).num_tasks == 2
-    assert f"what {work} held is in {work / 'outdated'} now" in said
+    assert f"moved the old results of {work} to {work / 'outdated'}" in said
     assert Evidence.load(work / "outdated" / path.name).num_tasks == 1
     (tmp_path / "data.txt").write_text("1.0")
     run(*infer(robot, demonstrations[:3], work))

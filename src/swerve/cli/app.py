@@ -1,7 +1,7 @@
 """Run the `swerve` command: register the commands, turn errors into one line.
 
-A command imports all that is heavy inside its function, so that `swerve infer` on a work folder
-that holds the answer starts at once.
+A command imports heavy packages inside its function, so that `swerve infer` on a work folder that
+holds the answer starts at once.
 """
 
 from __future__ import annotations

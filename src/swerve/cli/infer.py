@@ -55,9 +55,9 @@ def infer(
     Args:
       demonstrations: CSV or Parquet files whose columns include the states' names.
       report: HTML page to write, with the picture, the ranking and the diagnostics.
-      no_resolve: For a hypothesis that next to no trajectory avoids, report a lower bound of the
-        score, which is all that the samples tell. Otherwise the score is worked out, which may
-        need minutes.
+      no_resolve: For a hypothesis that hardly any trajectory avoids, report a lower bound of the
+        score, which is all that the samples tell. Without this option the score is worked out,
+        which may take minutes.
       greedy: Pick up to this many constraints as well, one after another. Each pick explains most
         of what earlier picks leave unexplained.
     """
@@ -125,7 +125,7 @@ def _show(
     """Print a result and write its report.
 
     Args:
-      result: of `swerve.infer`.
+      result: result of `swerve.infer`.
       picks: constraints that were picked; None if no picks were asked for.
       most: number of picks asked for.
       report: HTML file to write, or None.

@@ -1,4 +1,4 @@
-"""Answer states, one JSON line each, by what they tell, one JSON line each: for `swerve watch`.
+"""Answer each state, a JSON line, with the belief after it, a JSON line: for `swerve watch`.
 
     {"theta": 3.1, "omega": 0.2, "t": 0.05, "id": "left arm"}
     {"id": "left arm", "t": 0.05, "struck_out": [57], "none": 0.49, "likely": [...], "flags": []}
@@ -31,10 +31,10 @@ class Watch:
     """Demonstrations that are watched side by side.
 
     Args:
-      evidence: of the tasks of all demonstrations.
+      evidence: evidence of the tasks of all demonstrations.
       foresight: how likely each hypothesis is avoided from a state on, see `Monitor`.
       tasks: by name; the id of a demonstration names its task, unless there is only one task.
-      options: of `Monitor`.
+      options: options of `Monitor`.
 
     Raises:
       ValueError: if an option is of the wrong kind or range.
@@ -47,10 +47,10 @@ class Watch:
         self._options = options
         self._names = evidence.problem.space.names
         self._monitors: dict[str, Monitor] = {}
-        self._new_monitor(next(iter(tasks.values())))  # which raises now if an option is wrong
+        self._new_monitor(next(iter(tasks.values())))  # raises now if an option is wrong
 
     def answer(self, line: str) -> dict[str, Any]:
-        """Return what one line tells, or an object with an "error" that says what is wrong."""
+        """Return the answer to one line, or an object whose "error" says what is wrong."""
         name = ""
         try:
             data = _parsed(line)
@@ -78,10 +78,10 @@ class Watch:
             raise ValueError(f'expected true or false as "end", got {data["end"]!r}')
 
     def _observed(self, name: str, data: dict[str, Any]) -> dict[str, Any]:
-        """Return what a state of one demonstration tells."""
+        """Return the belief after a state of one demonstration."""
         missing = [state for state in self._names if state not in data]
         if missing:
-            raise ValueError(f"expected the states {', '.join(self._names)}, no {missing[0]} came")
+            raise ValueError(f"expected the states {', '.join(self._names)}, got no {missing[0]}")
         state, time = [data[key] for key in self._names], data.get("t")
         if not all(_is_number(value) for value in (*state, 0.0 if time is None else time)):
             raise ValueError(f"expected numbers, got {state} at t = {time}")
@@ -98,7 +98,7 @@ class Watch:
             (task,) = tasks.values()
         if task is None:
             raise ValueError(
-                f"id {name!r}: expected that of one of {len(tasks)} tasks, such as "
+                f"id {name!r}: expected the id of one of {len(tasks)} tasks, such as "
                 f"{next(iter(tasks))!r}"
             )
         return task
@@ -108,7 +108,7 @@ class Watch:
         return Monitor(self._evidence, task, self._foresight, **self._options)
 
     def _ended(self, name: str) -> dict[str, Any]:
-        """Forget a demonstration that has ended and return what it tells as a whole."""
+        """Forget a demonstration that has ended, and return the belief from the whole of it."""
         if name not in self._monitors:
             raise ValueError(f"id {name!r}: ended, but no state of it has come")
         return {"id": name, "end": True, **_shown(self._monitors.pop(name).finish())}

@@ -62,7 +62,7 @@ AsJson = Annotated[bool, Parameter(name="--json", help="Print one JSON object.")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Choices:
-    """Options of every command that may learn or sample: how to do so."""
+    """Options of how to learn and sample, of every command that may do so."""
 
     solver: SolverName = None
     samples: NumSamples = None
@@ -103,7 +103,7 @@ class Judging:
 
 
 AS_USUAL = Judging()
-AS_BEFORE = Choices()  # no option given: as the work folder records, else the defaults
+AS_BEFORE = Choices()  # no option given: values of the work folder's record, else the defaults
 
 
 def open_work(problem: str, folder: Path | None, how: Choices = AS_BEFORE) -> Work:

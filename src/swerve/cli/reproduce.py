@@ -19,14 +19,14 @@ OutFolder = Annotated[
     Path | None,
     Parameter(
         help="Folder to write into; files of the same names are replaced. Without a folder "
-        "human-walk prints its tables alone; the other results need one."
+        "human-walk prints its tables alone; the other results need a folder."
     ),
 ]
 OthersData = Annotated[
     Path | None,
     Parameter(
-        help="Data of others, as told above. For gridworld: golden output, a golden.json, to take "
-        "demonstrations from and to compare with. [default: what this project makes itself]"
+        help="Data of others, as described above. For gridworld: golden output, a golden.json, to "
+        "take demonstrations from and to compare with. [default: what this project makes itself]"
     ),
 ]
 

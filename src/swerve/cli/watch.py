@@ -36,8 +36,8 @@ def watch(
     whatever the work folder does not hold yet.
 
     Args:
-      tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one.
-        [default: the task that the work folder holds, if it is only one]
+      tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one row.
+        [default: the task that the work folder holds, if there is only one]
     """
     from swerve.base.space import Task
     from swerve.cli.json_lines import Watch, answer_lines

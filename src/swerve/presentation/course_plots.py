@@ -31,8 +31,8 @@ NUM_LINES = 5  # hypotheses with a line of their own: those that were most proba
 LEAST_SUM = 0.01  # probability: all other hypotheses have one line if their sum ever exceeds this
 STYLES = ("-", "--", "-.", ":", (0, (1, 1)))
 COLOURS = ("#5b1a78", "#d55e00", "#0072b2", "#009e73", "#999999")
-NUM_FRAMES = 60  # at most, of an animation
-FRAME, LAST = 100, 2_000  # ms, for which each frame and the last one are shown
+NUM_FRAMES = 60  # frames of an animation, at most
+FRAME, LAST = 100, 2_000  # ms for which each frame, and the last frame, is shown
 DPI = 80  # pixels an inch of an animation: small files
 
 
@@ -46,7 +46,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     Args:
       course: from `swerve.follow`.
       path: a file to write, whose suffix tells the format, or None.
-      width: of the picture [in].
+      width: width of the picture [in].
 
     Raises:
       ValueError: if matplotlib knows no such format, or the picture is too narrow for its text.
@@ -95,10 +95,10 @@ def animate_course(course: Course, path: str | Path, *, width: float = WIDTH) ->
     Args:
       course: from `swerve.follow`.
       path: a .gif file.
-      width: of the picture [in].
+      width: width of the picture [in].
 
     Raises:
-      ValueError: if the file is no .gif file, or the picture is too narrow for its text.
+      ValueError: if the file does not end in .gif, or the picture is too narrow for its text.
     """
     path = Path(path)
     if path.suffix.lower() != ".gif":

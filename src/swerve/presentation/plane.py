@@ -94,7 +94,7 @@ class Plane:
     def pieces(self, path: Path) -> np.ndarray:
         """Return a path inside the drawn turn as points [P, 2], with NaN where the line breaks.
 
-        Each piece has one point more, beyond the edge of the turn, so that its line reaches it.
+        Each piece has one more point beyond the edge of the turn: its line then reaches the edge.
         """
         points = self.line(path)
         turn = np.nan_to_num(np.floor((points - self.turns) / TWO_PI))
@@ -109,8 +109,8 @@ class Plane:
     def outlines(self, constraint: Constraint) -> list[np.ndarray]:
         """Return polygons, each [V, 2], that show a constraint within the limits.
 
-        Balls, polygons and half-spaces have their own outlines; other constraints have those of
-        `rectangles`. A constraint on actions in some states is shown as these states.
+        Balls, polygons and half-spaces have their own outlines; `rectangles` outlines all others. A
+        constraint on actions in some states is shown as these states.
         """
         if isinstance(constraint, StateAction):
             return self.outlines(constraint.states)
@@ -336,5 +336,5 @@ def _whole(low: float, high: float, least: float, most: float) -> tuple[float, f
 
 
 def _wrap(values: np.ndarray, turn: float | np.ndarray) -> np.ndarray:
-    """Return angles [rad] moved into [turn, turn + 2 pi), but not if just below by rounding."""
+    """Return angles [rad] moved into [turn, turn + 2 pi); rounding below the turn is left."""
     return turn + (values - turn + ROUNDING) % TWO_PI - ROUNDING

@@ -41,8 +41,8 @@ from swerve.problem.record import ProblemRecord
 
 NUM_LINES = 100  # nominal trajectories drawn, all tasks together
 LABEL_RASTER = 40  # points a side of the raster on which a label is kept off hypotheses
-NARROW = 6.0  # in: in a picture less wide the colour bar goes below the axes
-TIE_WEIGHT = 20  # points of the raster that a label may hide rather than a tied hypothesis
+NARROW = 6.0  # in: in a picture less wide than this, the colour bar goes below the axes
+TIE_WEIGHT = 20  # hiding a tied hypothesis is as bad for a label as hiding so many points
 
 KNOWN, DEMONSTRATION, NOMINAL = "#3c3c3c", "#0072b2", "#555555"
 
@@ -58,9 +58,9 @@ def picture(
 
     Args:
       inference: the ranking to draw.
-      shading: what the hypotheses are shaded by.
+      shading: the numbers that the hypotheses are shaded by, and their colours.
       header: lines above the picture, as text, size [pt] and colour.
-      width: of the picture [in].
+      width: width of the picture [in].
       also: paths that are not drawn, but must fit into the range of the axes.
     """
     is_wide = width >= NARROW
@@ -178,7 +178,7 @@ def _annotate(
         return
     text = f"{sentences.noun(inference)} {best}\n{shading.text(best)}"
     text = text.replace("violation ", "violation\n")
-    size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # roughly that of the axes
+    size = cast(Figure, axes.figure).get_size_inches() * (0.8, 0.6)  # roughly the size of the axes
     label = np.array([0.05 * max(map(len, text.split("\n"))), 0.11 * (1 + text.count("\n"))]) / size
     ties = [plane.rectangles(constraint(k)).reshape(-1, 2, 2).mean(axis=2) for k in leaders]
     busy = [*TIE_WEIGHT * ties, *(plane.pieces(path) for path in demonstrations)]

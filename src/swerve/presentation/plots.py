@@ -35,7 +35,7 @@ NUM_BARS = 12  # hypotheses in the picture of the ranking
 MAX_CONTRIBUTIONS = 40  # demonstrations in the picture of contributions: those that say most
 MAX_WARNING = 300  # characters of a warning; the report has all of them
 LEADER_BAR, OTHER_BAR = "#5b1a78", "#bcaec4"
-FOR, AGAINST = LEADER_BAR, ALARM  # colours of what speaks for and against a hypothesis
+FOR, AGAINST = LEADER_BAR, ALARM  # colours of bars that speak for and against a hypothesis
 
 
 def plot_inference(
@@ -50,7 +50,7 @@ def plot_inference(
     Args:
       inference: the ranking to draw.
       path: a file to write, whose suffix tells the format, or None.
-      width: of the picture [in]; text keeps its size, and below 6 in the layout is for a phone.
+      width: width of the picture [in]; text keeps its size; below 6 in the layout is for a phone.
       has_header: whether to write the answer, the warnings and the settings above the picture.
 
     Raises:
@@ -70,7 +70,7 @@ def plot_posterior(
     Args:
       inference: the ranking to draw.
       path: a file to write, whose suffix tells the format, or None.
-      width: of the picture [in].
+      width: width of the picture [in].
 
     Raises:
       ValueError: if matplotlib knows no such format, or the picture is too narrow for its text.
@@ -87,7 +87,7 @@ def plot_ranking(
     Args:
       inference: the ranking to draw.
       path: a file to write, whose suffix tells the format, or None.
-      width: of the picture [in].
+      width: width of the picture [in].
 
     Raises:
       ValueError: if matplotlib knows no such format, or the picture is too narrow for its text.
@@ -120,7 +120,7 @@ def _name_bars(axes: Axes, inference: Ranking, width: float, reach: float) -> No
     Args:
       axes: with one bar a row, from row 0.
       inference: the ranking drawn.
-      width: of the picture [in].
+      width: width of the picture [in].
       reach: where the longest whisker ends, in units of the score.
     """
     style: dict[str, Any] = {"fontsize": 8, "color": INK, "parse_math": False}
@@ -152,11 +152,11 @@ def plot_contributions(
       inference: from at least one demonstration.
       hypothesis: its index; the best of the ranking if None.
       path: a file to write, whose suffix tells the format, or None.
-      width: of the picture [in].
+      width: width of the picture [in].
 
     Raises:
-      ValueError: if there is no demonstration or no such hypothesis, none is left and none is
-        named, or matplotlib knows no such format.
+      ValueError: if there is no demonstration or no such hypothesis, no hypothesis is left and
+        none is named, or matplotlib knows no such format.
     """
     index = _chosen(inference, hypothesis)
     values = inference.contributions[:, index]
@@ -210,7 +210,7 @@ def _shares(inference: Ranking, index: int) -> str:
 
 
 def _draw_contributions(axes: Axes, values: np.ndarray) -> None:
-    """Draw contributions [nats] as bars, one a row; a cross where one is -inf: it rules out."""
+    """Draw contributions [nats] as bars, one a row; a cross for -inf, which rules out."""
     is_out, rows = np.isneginf(values), np.arange(len(values))
     lengths = np.where(is_out, 0.0, values)
     colours = [FOR if value > 0.0 else AGAINST for value in lengths]
@@ -227,7 +227,7 @@ def _draw_contributions(axes: Axes, values: np.ndarray) -> None:
 
 
 def _left_of_zero(axes: Axes) -> Transform:
-    """Return the transform that moves crosses left of zero, where what is against is drawn."""
+    """Return the transform that moves crosses left of zero, where bars against are drawn."""
     inches = cast(Figure, axes.figure).dpi_scale_trans
     return axes.transData + ScaledTranslation(-7 / 72, 0.0, inches)
 
@@ -245,7 +245,7 @@ def _name_rows(axes: Axes, inference: Ranking, shown: np.ndarray) -> None:
 
 
 def _names(inference: Ranking) -> list[str]:
-    """Return the names of demonstrations, equal ones numbered: 'demo', 'demo (2)'."""
+    """Return the names of demonstrations, equal names numbered: 'demo', 'demo (2)'."""
     counts: Counter[str] = Counter()
     names = []
     for demonstration in inference.demonstrations:

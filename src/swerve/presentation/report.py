@@ -1,4 +1,4 @@
-"""Write one HTML page that says what was inferred, shows it, and tells how far to trust it.
+"""Write one HTML page that says and shows the answer, and tells how far to trust the answer.
 
 The page is complete in itself: style and pictures are inside, and nothing outside is referred to.
 Names of files, states and hypotheses are escaped.
@@ -65,7 +65,7 @@ def page(inference: Ranking, picks: Sequence[Pick] | None = None) -> str:
 
 
 def _meaning(inference: Ranking) -> str:
-    """Return what the best score means in plain numbers, and the score of the next hypothesis."""
+    """Return the meaning of the best score in plain numbers, and the next hypothesis's score."""
     ranking, score = inference.ranking, inference.score
     if not len(ranking) or not inference.demonstrations or verdicts.is_untrusted(inference):
         return ""
@@ -196,8 +196,8 @@ def _several(inference: Ranking, picks: Sequence[Pick]) -> str:
     )
     text = (
         "Constraints are picked one after another: each is the one that explains most while all "
-        "earlier picks are in force. Log odds are those of one more constraint, whichever, against "
-        "no more, just before the pick."
+        "earlier picks are in force. Log odds compare one more constraint, whichever it is, with "
+        "no more constraint, just before the pick."
     )
     table = html.table(head, rows, {0: "", 2: "name"})
     return f"<h2>Several constraints</h2><p>{text}</p>{table}"

@@ -74,8 +74,8 @@ def _prior_sentence(inference: Ranking, answer: str) -> str:
 def belief(inference: Ranking) -> str:
     """Return the posterior in a sentence.
 
-    It gives the probabilities of no constraint and of the best hypothesis, the Bayes factor of a
-    constraint against none, and the 95 % credible set.
+    The sentence gives the probabilities of no constraint and of the best hypothesis, the Bayes
+    factor of a constraint against no constraint, and the 95 % credible set.
     """
     if inference.is_ruled_out or (inference.demonstrations and not len(inference.ranking)):
         return (

@@ -47,7 +47,7 @@ STRUCK_OUT, HATCH = "#f3f3f3", "#b4b4b4"
 
 
 def _colour_map() -> LinearSegmentedColormap:
-    """Return magma from light to dark, its yellow end bleached, so that 0 does not stand out."""
+    """Return magma from light to dark; its yellow end is bleached, so that 0 is faint."""
     share = np.linspace(0.0, 1.0, 256)[:, None]
     bleach = 0.9 * np.clip(1.0 - share / 0.3, 0.0, 1.0)
     magma = mpl.colormaps["magma_r"](0.85 * share[:, 0])[:, :3]
@@ -62,7 +62,7 @@ def of_probability() -> PowerNorm:
     """Return the colour scale of probabilities: p^(1/3) from 0 to 1.
 
     The scale never adapts to the highest probability, so a colour means the same in every picture
-    and only certainty is darkest. The root keeps hypotheses of less than 1 % each apart.
+    and only certainty is darkest. The root keeps the colours of probabilities below 1 % apart.
     """
     return PowerNorm(1.0 / 3.0, 0.0, 1.0)
 

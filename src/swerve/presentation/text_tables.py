@@ -46,8 +46,8 @@ def to_json(inference: Ranking, warnings: Sequence[str]) -> dict[str, Any]:
     Values of the posterior are null where every answer that the prior allows is ruled out.
 
     Args:
-      inference: what to list.
-      warnings: of the inference.
+      inference: the inference to list.
+      warnings: warnings of the inference.
     """
     evidence = inference.evidence
     posterior = None if inference.is_ruled_out else inference.posterior

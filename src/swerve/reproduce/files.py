@@ -55,7 +55,7 @@ def write(folder: Path, parts: Sequence[Part], tables: Mapping[str, str]) -> lis
     """
     written = []
     for name, figure, rows in parts:
-        assert len({len(row) for row in rows}) == 1, name  # columns under their own names
+        assert len({len(row) for row in rows}) == 1, name  # each row has a cell under each title
         path = folder / name
         write_text(path.with_suffix(".csv"), csv_text(rows))
         write_bytes(path.with_suffix(".svg"), _rendered(figure, "svg"))

@@ -1,1 +1,1 @@
-"""The work folder: what one problem has cost so far, kept for the next call."""
+"""The work folder: the results of one problem, kept for the next call."""

@@ -4,7 +4,7 @@
                                                    source files that made it, the settings used last
     <solver>.seed<S>.nominal                       what the solver learned
     <solver>.seed<S>.<method>.<N>.evidence         what N trajectories per task tell
-    <solver>.seed<S>.<method>.<N>.foresight        what a monitor needs besides
+    <solver>.seed<S>.<method>.<N>.foresight        what a monitor needs besides the evidence
     <solver>.seed<S>.checkpoint                    training that has not finished
     <solver>.seed<S>.training.png                  a picture of how training went
     outdated/                                      all these files as they were before the problem
@@ -58,7 +58,7 @@ class Reading:
     Attributes:
       state: what the record says of the results.
       record: the problem as data; None unless the state is CURRENT.
-      settings: those used last; all None if the state is ABSENT or OTHER_FORMAT.
+      settings: settings used last; all None if the state is ABSENT or OTHER_FORMAT.
       changes: for people, what has changed; empty unless the state is CHANGED.
     """
 
@@ -86,7 +86,7 @@ class WorkFolder:
         Args:
           suffix: kind of the result, such as "nominal" or "evidence".
           settings: complete settings that the result was made with.
-          method: of sampling, in place of that of the settings.
+          method: method of sampling, in place of the settings' method.
         """
         name = f"{quote(str(settings.solver), safe='=')}.seed{settings.seed}"
         if suffix in SAMPLED:
@@ -94,7 +94,7 @@ class WorkFolder:
         return self.path / f"{name}.{suffix}"
 
     def latest_solver(self, name: str, seed: int | None) -> str | None:
-        """Return the solver of the nominal written last, of all solvers of this name and seed.
+        """Return the solver, of this name and seed, whose nominal was written last.
 
         Returns:
           The solver's specification, settings included; None if there is no such nominal.
@@ -110,8 +110,8 @@ class WorkFolder:
 
         Args:
           settings: complete settings.
-          record: of the problem, with the code that judging demonstrations may need.
-          method: of sampling, in place of that of the settings.
+          record: record of the problem, with the code that judging demonstrations may need.
+          method: method of sampling, in place of the settings' method.
 
         Raises:
           store.StoreError: if the file is cut short or altered, or its evidence is of another
@@ -127,12 +127,12 @@ class WorkFolder:
                 "holds evidence of another version of the problem",
                 "remove it, and it is made again",
             )
-        if evidence.problem.needs_code:  # which no file can hold
+        if evidence.problem.needs_code:  # code, which no file can hold
             return dataclasses.replace(evidence, problem=record)
         return evidence
 
     def add_evidence(self, evidence: Evidence, settings: Settings, record: ProblemRecord) -> None:
-        """Write evidence, keeping the stored tasks that it lacks: another process may add some."""
+        """Write evidence, with the stored evidence of other tasks: another process may add some."""
         with files.locked(self.path):
             stored = self.read_evidence(settings, record)
             if stored is not None:
@@ -191,7 +191,7 @@ class WorkFolder:
           The folder that outdated results are in now, or None if none were moved.
 
         Raises:
-          ValueError: if there are results but no record, so that they may be somebody else's.
+          ValueError: if there are results but no record: they may be somebody else's.
           OSError: if the folder cannot be written.
         """
         with files.locked(self.path):
@@ -213,7 +213,7 @@ class WorkFolder:
         return found is not None and found.fingerprint == record.fingerprint
 
     def _move_aside(self) -> Path | None:
-        """Move all results, which are outdated, in place of those moved aside before."""
+        """Move all results aside, since they are outdated; remove those moved aside before."""
         results = [path for pattern in RESULTS for path in self.path.glob(pattern)]
         if not results:
             return None
@@ -241,8 +241,8 @@ def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
 def _changed(sources: dict[str, str]) -> list[str]:
     """Return the paths of source files that differ from their recorded hashes.
 
-    An editable installation records Swerve's own modules too. These are left out where the record
-    is from before they lay in packages, since the move changed no result.
+    An editable installation records Swerve's own modules too. These modules are left out if the
+    record is older than their move into packages, since the move changed no result.
     """
     paths = [Path(source) for source in sources]
     flat = {path.parent for path in paths if path.parts[-2:] == FLAT_MDP and not path.exists()}

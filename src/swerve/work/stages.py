@@ -3,9 +3,10 @@
 Which results in the folder may be used depends on the stage:
 
 - Opened: the folder's record is read. Results may be used if the record is current.
-- Loaded: the problem itself is there, for which JAX and the user's code are imported. Results may
-  be used if, besides, the record has the fingerprint of the problem.
-- Prepared: outdated results are moved aside and the record is of the problem. Results may be used.
+- Loaded: the problem itself is there; JAX and the user's code were imported for it. Results may be
+  used if the record is current and has the fingerprint of the problem.
+- Prepared: outdated results were moved aside and the record is that of the problem. Results may be
+  used.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class ProblemInFolder:
     Args:
       problem_text: a problem specification, see `loading.load_problem`.
       folder: where results are kept; None keeps none.
-      say: called with a line of text on what is found or done.
+      say: called with a line of text on each thing found or done.
 
     Attributes:
       opened: what the folder's record said at first.
@@ -81,7 +82,7 @@ class ProblemInFolder:
         return self.usable() or self.load().record
 
     def usable(self) -> ProblemRecord | None:
-        """Return the record that usable results are of, or None if no results may be used.
+        """Return the record of the usable results, or None if no results may be used.
 
         Loads the problem only if judging a demonstration needs the problem's code.
         """
@@ -102,7 +103,7 @@ class ProblemInFolder:
           settings: complete settings.
 
         Raises:
-          ValueError: if there are results but no record, so that they may be somebody else's.
+          ValueError: if there are results but no record: they may be somebody else's.
           OSError: if the folder cannot be written.
         """
         is_recorded = self.load().is_recorded
@@ -126,7 +127,7 @@ class ProblemInFolder:
         sources = source_hashes(problem)
         aside = self._folder.write(record, settings, sources, is_current=is_current)
         if aside is not None:
-            self._say(f"what {self._folder.path} held is in {aside} now")
+            self._say(f"moved the old results of {self._folder.path} to {aside}")
 
     def _say_outdated(self, changes: str) -> None:
         self._say_of_folder(f"is out of date ({changes}): working it out anew")

@@ -1,9 +1,9 @@
 """Work on one problem: learn, sample and resolve whatever the work folder does not hold yet.
 
-Settings that are left out are those that the folder's record names, which were used last. As long
-as no source file of the problem has changed, results are read without importing JAX or user code.
-When one has changed, all results are moved aside before anything new is written. See `folder` for
-the files.
+Settings that are left out keep the value used last, which the folder's record names. As long as no
+source file of the problem has changed, results are read without importing JAX or user code. When a
+source file has changed, all results are moved aside before anything new is written. See `folder`
+for the files.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Work:
       problem_text: a problem specification, see `loading.load_problem`.
       folder: where results are kept, or None.
       settings: how to learn and sample.
-      say: called with a line of text on what is found or done.
+      say: called with a line of text on each thing found or done.
       progress: whether to show progress bars.
 
     Raises:
@@ -80,7 +80,7 @@ class Work:
 
     @cached_property
     def settings(self) -> Settings:
-        """Complete settings: those asked for, else those used last, else the defaults."""
+        """Complete settings: each value as asked for, else as used last, else the default."""
         chosen = self._asked.completed(self._stages.opened.settings)
         if chosen.solver is None:
             from swerve.solvers.learn import default_solver
@@ -90,7 +90,7 @@ class Work:
 
     @property
     def goal_of(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        """The function that gives the goal of a demonstration without one; None: its last state."""
+        """Function that gives the goal of a demonstration without one; None for the last state."""
         return None if self.record.goal_is_last_state else self.problem.mdp.goal_of
 
     def path(self, suffix: str, method: str | None = None) -> Path | None:
@@ -103,8 +103,8 @@ class Work:
         """Return evidence for tasks, learning and sampling only what the folder does not hold.
 
         Args:
-          tasks: starts [K, n] and goals [K, g]; None takes those of the stored evidence, or, if
-            there is none, samples some from the MDP.
+          tasks: starts [K, n] and goals [K, g]; None takes the tasks of the stored evidence or, if
+            there is no evidence, samples some from the MDP.
         """
         known = self._stored_evidence(self._stages.usable())
         if known is not None and _has_all(known, tasks):
@@ -120,7 +120,7 @@ class Work:
         """Return the nominal distribution, learning it if the folder does not hold it.
 
         Args:
-          tasks: those on which training reports its progress.
+          tasks: tasks on which training reports its progress.
         """
         if self._nominal is None:
             self._nominal = self._read_or_learn(tasks)
@@ -137,7 +137,7 @@ class Work:
 
         names = np.flatnonzero(ranking.is_open.any(axis=0)).tolist()
         self.say(
-            "next to no trajectory avoids "
+            "hardly any trajectory avoids "
             f"{some_names([ranking.hypothesis_name(index) for index in names])}: resolving how "
             "unlikely that is (--no-resolve keeps the lower bounds that the samples give)"
         )
@@ -193,8 +193,8 @@ class Work:
         """Return the nominal distribution that a solver learns, from a checkpoint if there is one.
 
         Args:
-          solver: of any kind; one with a teacher imitates what the teacher learned.
-          tasks: those on which training reports its progress.
+          solver: solver of any kind; a solver with a teacher imitates what the teacher learned.
+          tasks: tasks on which training reports its progress.
           checkpoint: file that training writes as it goes, or None.
         """
         from swerve.solvers.learn import learn
@@ -205,7 +205,7 @@ class Work:
         teacher = kind_named(solver.name).teacher
         if teacher:
             train = partial(solver.imitate, self._work_of_teacher(teacher).nominal(tasks))
-            self._stages.write_record(settings)  # by now the record names those of the teacher
+            self._stages.write_record(settings)  # the teacher's work has recorded its own settings
         self.say(f"learning with {settings.solver}: {loaded.record.summary}")
         if checkpoint is not None and checkpoint.exists():
             self.say(f"going on from {checkpoint}")
@@ -215,8 +215,8 @@ class Work:
         """Return work in the same folder with the solver that a student imitates.
 
         Args:
-          name: of the teacher. Its settings are those that the folder holds a nominal of, the
-            latest if there are several, else the defaults.
+          name: name of the teacher. Its settings are those of its latest nominal in the folder,
+            else the defaults.
         """
         seed = self.settings.seed
         held = None if self._folder is None else self._folder.latest_solver(name, seed)
@@ -225,7 +225,7 @@ class Work:
         return Work(self.problem_text, path, settings, say=self.say, progress=self.progress)
 
     def _sample(self, tasks: Task, known: Evidence | None) -> Evidence:
-        """Sample tasks and add their evidence to what is known.
+        """Sample tasks and add their evidence to the known evidence.
 
         Finished tasks are saved every SAVE_INTERVAL, and at the end or an interruption.
         """
@@ -269,8 +269,8 @@ class Work:
         """Return the stored evidence that was made with these settings, if any.
 
         Args:
-          record: of the usable results, see `ProblemInFolder.usable`; None if none are usable.
-          method: of sampling, in place of that of the settings.
+          record: record of the usable results, see `ProblemInFolder.usable`; None for no results.
+          method: method of sampling, in place of the settings' method.
         """
         if record is None or self._folder is None:
             return None
@@ -280,7 +280,7 @@ class Work:
         """Return stored trajectories of another method, weighed by this method, or None.
 
         Args:
-          record: of the usable results; None if none are usable.
+          record: record of the usable results; None if no results are usable.
         """
         mine = self.settings.method
         if mine not in REWEIGHED:

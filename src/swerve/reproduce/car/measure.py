@@ -99,7 +99,7 @@ class Single(NamedTuple):
       first: index of the region that comes first.
       tied: number of regions tied with the first, itself included.
       bounds: number of regions the drive leaves out for which the samples give only a bound.
-      posterior: [H + 1] probabilities, that of no constraint last.
+      posterior: [H + 1] probabilities, the one of no constraint last.
     """
 
     first: int
@@ -113,7 +113,7 @@ class Early(NamedTuple):
 
     Attributes:
       exact: y from which the true region has a posterior above SURE [m].
-      near: y from which the true region and its neighbours together have one [m].
+      near: y from which the true region and its neighbours together have such a posterior [m].
     """
 
     exact: float

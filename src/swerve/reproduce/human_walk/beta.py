@@ -10,8 +10,8 @@ of a track do not count: people's tracks are smoother than paths on a lattice, a
 their lengths has its maximum at the boundary of beta.
 
 A way around an obstacle looks like a long way by choice, which lowers beta. So beta is chosen
-twice, the second time with the constraint in force that the first beta leads to, if a constraint is
-more probable than none.
+twice if, by the first beta, a constraint is more probable than none: the second time with that
+constraint in force.
 
 Shapes: D tracks, H hypotheses, L betas.
 """
@@ -30,12 +30,12 @@ from swerve.solvers.exact.soft_paths import PathNominal
 from swerve.systems.walker import Walker
 
 CLEARANCE = 0.75  # m between the ends of a track and the squares that count for it
-FIRST, RATIO, LAST = 1.02, 1.05, 3.0  # first beta to try, ratio of two, last: in units of the least
+FIRST, RATIO, LAST = 1.02, 1.05, 3.0  # first beta to try, ratio of two, last: times the least
 NUM_WORSE = 3  # betas worse than the best before them, after which no higher one is tried
 QUICK_RATIO, QUICK_LAST = 1.1, 2.0  # the same with --quick
 UNLIKELY = 1e-6  # least probability of a choice, so that one track does not decide alone
 NUM_RESAMPLED = 1000  # bootstrap samples of the tracks, for the interval of beta
-RULE = "cross-validated likelihood of which squares that another track has entered a track enters"
+RULE = "cross-validated likelihood that a track enters, or not, squares that other tracks enter"
 
 
 class Beta(NamedTuple):

@@ -1,8 +1,9 @@
 """Measure where the obstacle is that people walk around, from their tracks through a room.
 
-The model of people is `Walker`: soft shortest paths over the floor, with the walls known and
-nothing else. The hypotheses are all squares of 0.75 m that overlap by three quarters and have some
-floor in them. Squares within 0.75 m of the ends of a track do not count for it. Answers are exact.
+The model of people is `Walker`: soft shortest paths over the floor, with the walls as the only
+known constraint. The hypotheses are all squares of 0.75 m that overlap by three quarters and have
+some floor in them. Squares within 0.75 m of the ends of a track do not count for this track.
+Answers are exact.
 
 The module `beta` describes the choice of beta.
 
@@ -205,7 +206,7 @@ def answer_at(nominal: PathNominal, tracks: Tracks, most: int = NUM_PICKS) -> An
 
 
 def overlapping(found: np.ndarray, index: int) -> np.ndarray:
-    """Return whether each square [H] of found [H, 4] overlaps the one with an index."""
+    """Return whether each square [H] of found [H, 4] overlaps the square with an index."""
     x_low, x_high, y_low, y_high = found.T
     x, y = found[index, :2], found[index, 2:]
     return (x_low < x[1]) & (x_high > x[0]) & (y_low < y[1]) & (y_high > y[0])

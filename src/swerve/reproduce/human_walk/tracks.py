@@ -11,7 +11,7 @@ nearly straight way,
 
     |end - start| > 3 m,   length < 1.6 |end - start|,
 
-and stays 0.2 m from walls, as far as the middle of a body has to.
+and stays 0.2 m from walls, as the middle of a body must.
 
 Shapes: L samples of a track.
 """
@@ -37,7 +37,7 @@ CORNER, CELL = (-11.0, -10.0), 0.01  # m: lower left corner and pixel of THOR's 
 LEAST_DISTANCE = 3.0  # m between the ends of a track
 MOST_WINDING = 1.6  # largest length of a track, in units of the distance between its ends
 LIGHT = 0.5  # share of white from which a pixel is floor
-FEWEST = 2  # least number of tracks: cross-validation needs another one
+FEWEST = 2  # least number of tracks: cross-validation compares each track with others
 BODY = 0.2  # m between walls and the middle of a person
 REASONS: tuple[str, ...] = ("shorter than 3 m", "winding", "less than 0.2 m from walls")
 
