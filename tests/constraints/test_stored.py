@@ -46,6 +46,11 @@ class TestJson:
         with pytest.raises(ValueError, match=message):
             back.contains(np.zeros(2), PLANE)
 
+    def test_a_kind_that_is_not_known_is_named(self) -> None:
+        data = {"kind": "annulus", "name": "ring", "num_points": 8}
+        with pytest.raises(ValueError, match=r"no kind 'annulus' is known here: a newer version"):
+            constraint_from_json(data)
+
     def test_different_constraints_have_different_json(self) -> None:
         kinds = [Box(x=(0, 1)), Box(y=(0, 1)), Box(x=(0, 2)), Predicate("x", in_disc)]
         kinds.append(Predicate("x", in_disc, 9))

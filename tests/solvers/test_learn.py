@@ -136,6 +136,12 @@ class TestOneMoreSolver:
         with pytest.raises(ValueError, match="the coin solver takes at most 2 state dimensions"):
             learn(load_problem("car"), "coin")
 
+    def test_is_not_told_to_train_longer(self, coin: SolverKind) -> None:
+        evidence = sample(learn(short_cart(), "coin?tilt=9"), CART_TASK, 400, seed=1)
+        [warning] = [text for text in infer(evidence).warnings if "not to be trusted" in text]
+        assert "use a solver that comes nearer to pi_0 (grid and soft-value)" in warning
+        assert "num_steps" not in warning
+
     def test_that_left_is_named_by_its_files(self, coin: SolverKind, tmp_path: Path) -> None:
         save_nominal(tmp_path / "coin.nominal", learn(short_cart(), "coin"))
         del KINDS["coin"]

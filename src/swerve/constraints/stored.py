@@ -14,7 +14,11 @@ from swerve.constraints.boxes import ActionBox, Box
 
 
 def constraint_from_json(data: dict[str, Any]) -> Constraint:
-    """Rebuild a constraint from `to_json` data; a predicate comes back without its function."""
+    """Rebuild a constraint from `to_json` data; a predicate comes back without its function.
+
+    Raises:
+      ValueError: if the kind of the constraint is unknown.
+    """
     match data["kind"]:
         case "union":
             return Union(data["name"], [constraint_from_json(part) for part in data["constraints"]])
@@ -43,9 +47,14 @@ def constraint_from_json(data: dict[str, Any]) -> Constraint:
             from swerve.constraints.occupancy import Occupancy
 
             return Occupancy.from_json(data)
-    from swerve.constraints.predicate import Predicate, missing_function
+        case "predicate":
+            from swerve.constraints.predicate import Predicate, missing_function
 
-    return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
+            return Predicate(data["name"], missing_function(data["name"]), data["num_points"])
+    raise ValueError(
+        f"constraint: no kind {data['kind']!r} is known here: a newer version of swerve stored it, "
+        "or constraints/stored.py lacks a case for it"
+    )
 
 
 def _intervals(data: dict[str, Any]) -> dict[str, tuple[float, float]]:

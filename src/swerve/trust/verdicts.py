@@ -266,6 +266,12 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
     if share > GOOD_ESS_SHARE:
         return f"Sample more trajectories: at least {LOW_ESS / share:.0f}"
     kind = kind_stored(evidence.solver)
+    if not kind.finer:
+        others = " and ".join(solver_names(lambda kind: kind.adapts))
+        return (
+            "The policy is far from pi_0 here: sample more trajectories, or use a solver that "
+            f"comes nearer to pi_0 ({others})"
+        )
     if kind.computes_value:
         text = f"The grid is too coarse for this problem: give it more {kind.finer}"
         other = ", or take method 'importance', which needs no soft value on the way"
@@ -312,7 +318,8 @@ def _names(hypotheses: np.ndarray) -> str:
 def _in_vain(evidence: Evidence) -> str:
     """Return the text for ratios that `swerve.resolve` tried and could not settle."""
     finer = kind_stored(evidence.solver).finer
+    more = f"give the solver more {finer}, " if finer else ""
     return (
-        ". Sampling with it in force did not settle the score: sample more trajectories, give "
-        f"the solver more {finer}, or see whether anything the robot can do avoids it"
+        ". Sampling with it in force did not settle the score: sample more trajectories, "
+        f"{more}or see whether anything the robot can do avoids it"
     )
