@@ -1,4 +1,4 @@
-"""Infer which constraint demonstrations obey, and say so.
+"""Infer which constraint demonstrations obey, and report the answer.
 
 An `Inference` is a ranking (numbers, see `inference.ranking`) that can say, list, draw and report
 itself.
@@ -20,7 +20,7 @@ from swerve.inference.ranking import Ranking
 if TYPE_CHECKING:
     from swerve.inference.greedy import Pick
 
-TABLE_ROWS = 10  # hypotheses in a table unless told otherwise
+TABLE_ROWS = 10  # hypotheses in a table, by default
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,10 +33,10 @@ class Inference(Ranking):
       task_of: [D] index of each demonstration's task in the evidence.
       entered: [D, H] True where a demonstration enters a hypothesis.
       score_name: "likelihood" or "average".
-      is_counted: [K, H] False where a task says nothing of a hypothesis near its start or goal.
+      is_counted: [K, H] False where a task tells nothing about a hypothesis near its start or goal.
       tolerance: eps, the probability that a demonstration ignores the constraint.
-      prior: [H + 1] probabilities before the demonstrations, that of no constraint first.
-      judged: what demonstrations are held against: the hypotheses, less a margin for noise.
+      prior: [H + 1] probabilities before the demonstrations, P(no constraint) first.
+      judged: regions that demonstrations must not enter: the hypotheses, less a margin for noise.
     """
 
     def __repr__(self) -> str:
@@ -59,7 +59,7 @@ class Inference(Ranking):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against trusting the ranking, in plain words; empty if nothing does."""
+        """Reasons not to trust the ranking, in plain words; empty if there are none."""
         from swerve.trust import doubts
 
         return doubts.warnings(self)
@@ -106,7 +106,7 @@ class Inference(Ranking):
 
         Args:
           path: the file.
-          picks: what `swerve.greedy` picked, if that is to be reported as well.
+          picks: picks of `swerve.greedy`, to be reported as well; None for no picks.
         """
         from swerve.presentation.report import write_report
 
@@ -127,27 +127,29 @@ def infer(
 
     Args:
       evidence: violation probabilities for the tasks of all demonstrations.
-      demonstrations: finished ones; with none, the ranking is the prior one (Theorem 1: what the
-        nominal distribution enters most often comes first) over all tasks of the evidence.
+      demonstrations: finished demonstrations. Without any, the result is the prior ranking over all
+        tasks of the evidence (Theorem 1: the hypothesis that the nominal distribution enters most
+        often comes first).
       score: "likelihood", or "average": the paper's average violation probability.
-      prior: [H + 1] probabilities, that of no constraint first; or that of no constraint alone, the
-        rest shared alike; 1/2 if None.
+      prior: [H + 1] probabilities, P(no constraint) first; or P(no constraint) alone, and the
+        hypotheses share the rest equally; P(no constraint) = 1/2 if None.
       tolerance: eps, the probability with which a demonstration ignores the constraint, so that one
-        stray track does not veto the truth; 0 is the paper's.
+        stray demonstration does not rule out the true constraint; 0 as in the paper.
       margin: for states measured with noise, how deep inside a hypothesis, in the state's unit, a
-        demonstration must be to have entered it. Nominal trajectories are judged as they are, so
-        what demonstrations graze seems more probable than it is: as small as the noise, then. A
-        hypothesis that an end of a task grazes, lying in it but not as deep, is left out for it.
-      clearance: leave a hypothesis out for tasks that start or end within this distance of it, in
-        the units of the states that it names: nobody enters it there, constraint or not. Goals
-        count where they are states.
+        demonstration must be to have entered the hypothesis. Nominal trajectories are judged
+        without a margin, so a hypothesis that demonstrations graze seems more probable than it is:
+        choose a margin as small as the noise. Where an end of a task lies in a hypothesis, but less
+        deep than the margin, the hypothesis is left out for the task.
+      clearance: leave a hypothesis out for tasks that start or end within this distance of the
+        hypothesis, in the units of the states that it names: demonstrations of these tasks avoid
+        the hypothesis with or without a constraint. Goals count where they are states.
 
     Returns:
       The ranking and the posterior.
 
     Raises:
       ValueError: if an argument is of the wrong kind or out of range, a demonstration has no
-        evidence for its task, or it does not fit the problem.
+        evidence for its task, or a demonstration does not fit the problem.
     """
     return Inference.of(
         evidence,

@@ -1,1 +1,1 @@
-"""Watch while it happens: a monitor of one demonstration, and the foresight that it needs."""
+"""Watch a demonstration while it happens: the monitor, and the foresight that a monitor needs."""

@@ -1,4 +1,4 @@
-"""Follow how belief moves along a finished demonstration, by a monitor that observes its states.
+"""Follow the belief along a finished demonstration: a monitor observes state after state.
 
     P_t(c) ~ prior(c) L_t(c),    t = 0, ..., L - 1, and once more at the end
 
@@ -20,10 +20,10 @@ class Course(NamedTuple):
     """The belief after each state of a demonstration, and at its end.
 
     Attributes:
-      evidence: that the monitor used.
-      demonstration: that was followed.
-      times: [L + 1] time of each state [s], in steps of the model where the demonstration has no
-        times; the last is the time of the end.
+      evidence: evidence that the monitor used.
+      demonstration: demonstration that was followed.
+      times: [L + 1] time of each state [s], one step of the model apart where the demonstration has
+        no times; the last number is the time of the end.
       none: [L + 1] probability that there is no constraint.
       hypotheses: [L + 1, H] probability of each hypothesis.
       log_likelihood: [L + 1, H] ratio against no constraint, nats; -inf where struck out.
@@ -44,11 +44,11 @@ class Course(NamedTuple):
 
 
 def follow(monitor: Monitor, demonstration: Demonstration) -> Course:
-    """Let a new monitor observe a finished demonstration, state by state, to its end.
+    """Let a new monitor observe a finished demonstration, state by state, to the end.
 
     Args:
-      monitor: that has observed no state yet.
-      demonstration: of the monitor's task.
+      monitor: monitor that has not observed any state.
+      demonstration: demonstration of the monitor's task.
 
     Raises:
       ValueError: if the monitor has observed states, or refuses a state or a time (see

@@ -1,10 +1,10 @@
-"""Flag what is odd about a state that a monitor observes: its time, its place and its distance.
+"""Flag a state that a monitor observes, where its time, its place or its distance is odd.
 
 Within dt seconds a component of the state may change by at most
 
     FAST v dt + JITTER extent,
 
-where v is its fastest change in nominal trajectories of the task.
+where v is the fastest change of this component in nominal trajectories of the task.
 
 Shapes: n state dimensions.
 """
@@ -32,11 +32,11 @@ KNOWN = "in a known constraint"
 class StateChecks:
     """Checks of the states of one demonstration against the nominal trajectories of its task.
 
-    The checks use plain floats: for a handful of numbers NumPy takes longer.
+    The checks use plain floats: NumPy takes longer for a few numbers.
 
     Args:
-      evidence: of the task.
-      number: of the task in the evidence.
+      evidence: evidence for the task.
+      number: number of the task in the evidence.
     """
 
     def __init__(self, evidence: Evidence, number: int) -> None:
@@ -83,7 +83,7 @@ class StateChecks:
         return flags
 
     def _of_place(self, values: list[float], last: list[float], now: float) -> list[str]:
-        """Return the flags of where and when a state is."""
+        """Return the flags of a state's place and time."""
         problem, flags = self._problem, []
         for value, (low, high) in zip(values, self._bounds, strict=True):
             if not low <= value <= high:
@@ -96,7 +96,7 @@ class StateChecks:
         return flags
 
     def _differs(self, values: list[float], others: list[float], limits: list[float]) -> bool:
-        """Return whether two states differ by more than limits, angles along the shorter arc."""
+        """Return whether two states differ by more than limits, with angles by the shorter arc."""
         for value, other, limit, is_angle in zip(
             values, others, limits, self._is_angle, strict=True
         ):

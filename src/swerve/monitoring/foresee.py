@@ -1,12 +1,12 @@
 """Learn how likely each hypothesis is avoided from any state and time on.
 
-States that the nominal policy goes on from are labelled with what the rest of the trajectory enters
-(see `sampling.continuations`). A network is fitted to the labels of all hypotheses at once by
-weighted logistic regression,
+The nominal policy continues trajectories from many states. Each state is labelled with the
+hypotheses that the rest of its trajectory enters (see `sampling.continuations`). A network is
+fitted to the labels of all hypotheses at once by weighted logistic regression,
 
     minimise  sum w [- y log P - (1 - y) log(1 - P)],    y = 1[the rest avoids c].
 
-At the starts of tasks the network is fitted to the evidence too.
+At the starts of tasks, the network is also fitted to the evidence.
 
 Shapes: R labelled states, K tasks, G goals, H hypotheses, F inputs, n state dimensions, g goal
 dimensions.
@@ -35,28 +35,29 @@ from swerve.simulation.continuation import continued
 from swerve.solvers.base import Nominal, PolicyNominal
 from swerve.solvers.trained.networks import DenseNetwork
 
-LEAST_UPDATES, UPDATES_PER_GOAL = 10_000, 1_000  # of the network, unless a number is given
-BATCH = 1024  # labelled states of an update
+LEAST_UPDATES, UPDATES_PER_GOAL = 10_000, 1_000  # updates of the network, by default
+BATCH = 1024  # labelled states in each update
 BLOCK = 100  # updates between two reports of progress
-LEARNING_RATE = 3e-3  # of the first update; it falls to 0 at the last
-START_WEIGHT = 0.2  # of the loss at the starts of tasks, relative to the loss of labelled states
+LEARNING_RATE = 3e-3  # of the first update; the rate falls to 0 at the last update
+START_WEIGHT = 0.2  # weight of the loss at the starts of tasks, beside the loss of labelled states
 
 
 class Rollouts:
-    """Estimate by rollouts, state by state, what a `Foresight` has learned beforehand.
+    """Estimates by rollouts, for each state anew, the probabilities that a `Foresight` learns.
 
         P_0(avoid c from here on) ~ sum_k w_k 1[xi_k avoids c] / sum_k w_k
 
     Half a trajectory that avoids c and half a trajectory that enters c are added, so that no answer
-    is -inf. Where every trajectory enters a known constraint, as from inside it, all weigh alike.
+    is -inf. Where every trajectory enters a known constraint, as from inside the constraint, all
+    trajectories have equal weight.
 
     Args:
-      nominal: of a solver with policies.
-      num_trajectories: rolled out for each state.
-      seed: of the trajectories.
+      nominal: nominal distribution of a solver with policies.
+      num_trajectories: trajectories that are rolled out for each state.
+      seed: seed of the trajectories.
 
     Raises:
-      ValueError: if the nominal has no policies, or a number is out of range.
+      ValueError: if the nominal distribution has no policies, or a number is out of range.
     """
 
     def __init__(self, nominal: Nominal, num_trajectories: int = 1000, *, seed: int = 0) -> None:
@@ -66,7 +67,7 @@ class Rollouts:
         self.fingerprint = nominal.problem.record.fingerprint
 
     def towards(self, goal: np.ndarray) -> Ahead:
-        """Return the estimate of log P_0(avoid c from here on) for a goal [g]."""
+        """Return a function that estimates log P_0(avoid c from here on) for a goal [g]."""
         problem, num = self._nominal.problem, self._num
         record, target = problem.record, jnp.asarray(goal, jnp.float32)
         (policy,) = self._nominal.policies(np.asarray(goal, float)[None])
@@ -102,19 +103,19 @@ def foresee(
     """Learn how likely each hypothesis is avoided from any state and time on.
 
     Args:
-      nominal: of a solver with policies.
-      evidence: of the same problem; the foresight is learned for the goals of its tasks.
-      num_trajectories: rolled out for each goal.
-      num_updates: of the network; 1,000 for each goal and at least 10,000 if None.
-      seed: of everything random.
+      nominal: nominal distribution of a solver with policies.
+      evidence: evidence of the same problem; the foresight is learned for the goals of its tasks.
+      num_trajectories: trajectories that are rolled out for each goal.
+      num_updates: updates of the network; if None, 1,000 for each goal and at least 10,000.
+      seed: seed of all randomness.
       progress: whether to show a progress bar.
 
     Returns:
       The foresight that a `Monitor` needs, for the tasks of the evidence.
 
     Raises:
-      ValueError: if an argument is of the wrong kind or range, the nominal has no policies, the
-        evidence is of another problem, or a hypothesis is about actions.
+      ValueError: if an argument is of the wrong kind or range, the nominal distribution has no
+        policies, the evidence is of another problem, or a hypothesis is about actions.
     """
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 1)
     if num_updates is not None:
@@ -139,7 +140,7 @@ def foresee(
 
 
 def _check_evidence(evidence: Evidence, record: ProblemRecord) -> None:
-    """Raise ValueError where evidence is none, or of another problem than the nominal's."""
+    """Raise ValueError where the argument is not evidence, or is of another problem."""
     instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
     if record.fingerprint != evidence.problem.fingerprint:
         raise ValueError(
@@ -149,7 +150,7 @@ def _check_evidence(evidence: Evidence, record: ProblemRecord) -> None:
 
 
 def _inputs(record: ProblemRecord, goals: np.ndarray) -> Inputs:
-    """Return the network's inputs for goals [G, g], which they bring to about unit scale."""
+    """Return the network's inputs for goals [G, g]; the inputs scale these to about 1."""
     return Inputs(
         record.space,
         record.goal_names == record.space.names,
@@ -160,11 +161,11 @@ def _inputs(record: ProblemRecord, goals: np.ndarray) -> Inputs:
 
 
 def _with_policies(nominal: Nominal) -> PolicyNominal:
-    """Return the nominal if its trajectories can be sampled.
+    """Return the nominal distribution if its trajectories can be sampled.
 
     Raises:
-      ValueError: if it has no policies, or hypotheses are about actions, which a monitor does not
-        see.
+      ValueError: if the nominal distribution has no policies, or hypotheses are about actions,
+        which a monitor does not see.
     """
     if not isinstance(nominal, PolicyNominal):
         names = ", ".join(solver_names(lambda kind: not kind.is_exact))
@@ -210,7 +211,7 @@ class _Fit:
         sizes = (self.at_starts.shape[1], *hidden_sizes(num_hypotheses), num_hypotheses)
         key_network, key = jax.random.split(jax.random.key(seed))
         network = DenseNetwork(sizes, 0.1, key=key_network)
-        # begin with each hypothesis' log-odds over all states: only differences are left to learn
+        # begin with each hypothesis's log-odds over all states: only differences are left to learn
         network.biases[-1] = jnp.asarray(np.log1p(-self.entered) - np.log(self.entered))
         schedule = optax.cosine_decay_schedule(LEARNING_RATE, num_updates)
         optimiser = optax.adam(schedule)

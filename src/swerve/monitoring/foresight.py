@@ -1,14 +1,14 @@
-"""Foresee how likely each hypothesis is avoided from here on, by a small network in NumPy.
+"""Estimate how likely each hypothesis is avoided from here on, by a small network in NumPy.
 
     log P_0(avoid c after t | s_t = s, t, goal) = -log(1 + exp(-z_c(s, t, goal)))
 
-for all hypotheses c at once. The inputs x of the network are sines of the state and of its
-difference to the goal at several frequencies, both in units of the bounds; the rates at which the
-state would have to change to reach the goal in time; and the time to go. The layers are
+for all hypotheses c at once. The inputs x of the network are: sines, at several frequencies, of the
+state and of its difference to the goal, both in units of the bounds; the rates at which the state
+would have to change to reach the goal in time; and the time to go. The layers are
 
     z = W_L tanh(... tanh(W_1 x + b_1) ...) + b_L.
 
-The probability includes the present state: a state that lies in a hypothesis has entered it.
+The probability includes the present state: a state inside a hypothesis has entered the hypothesis.
 
 Shapes: K tasks, H hypotheses, T steps, n state dimensions, g goal dimensions, F inputs, ... any
 batch dimensions.
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 KIND = "swerve-foresight"
 VERSION = 2
 HARMONICS = 4  # frequencies of the sines of each state
-SOON = 0.03  # share of the horizon: the inputs tell times to go apart down to about this
-RUSH = (0.3, 2.0)  # extents per horizon: a slow and a fast rate of change, where tanh bends
+SOON = 0.03  # share of the horizon: least time to go that the inputs resolve
+RUSH = (0.3, 2.0)  # extents per horizon: a slow and a fast rate of change, at which tanh bends
 NUM_TIMES = 4  # inputs that depend on the time alone
-SAME_GOAL = 1e-3  # in units of a goal's scale: goals closer than this are the same
+SAME_GOAL = 1e-3  # in units of the goals' scale: closer goals are the same goal
 WIDTH = 128  # units of each of the two hidden layers
-MANY = 1000  # hypotheses: with more, a layer of RANK units comes before the last, to be quick
-RANK = 32  # units of that layer
+MANY = 1000  # hypotheses: with more, a layer of RANK units before the last saves time
+RANK = 32  # units of the layer before the last, see MANY
 
 
 class Ahead(Protocol):
-    """A function that returns how likely each hypothesis is avoided from a state and a step on."""
+    """A function: the log-probabilities of avoiding each hypothesis from a state and step on."""
 
     def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return log P_0(avoid c from here on) [H], nats, for a state [n] at a step."""
@@ -54,7 +54,7 @@ class Foreseer(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of the problem that the foresight is for."""
+        """Fingerprint of the problem that the foresight belongs to."""
         ...
 
     def towards(self, goal: np.ndarray) -> Ahead:
@@ -67,10 +67,10 @@ class Inputs:
     """The network's inputs: a function of state, time and goal that is plain data.
 
     Attributes:
-      space: of the states.
-      goal_is_state: whether goals are states, so that the difference to the goal is an input too.
-      goal_centre: [g] is subtracted from goals.
-      goal_scale: [g] units of goals after that.
+      space: names, angles and bounds of the states.
+      goal_is_state: whether goals are states; then the difference to the goal is an input too.
+      goal_centre: [g] centre that is subtracted from goals.
+      goal_scale: [g] units of the centred goals.
       num_steps: T.
     """
 
@@ -84,11 +84,11 @@ class Inputs:
         """Return (S, G, p) of the inputs sin(S s + G goal + p).
 
         The inputs are harmonics of each state and, where goals are states, of the difference to the
-        goal; cosines are sines a quarter turn on. The first n inputs are then the first harmonics
-        of the difference to the goal.
+        goal; cosines are sines with a phase of a quarter turn. Where goals are states, the first n
+        inputs are the first harmonics of the difference to the goal.
         """
         n, g = len(self.space.names), len(self.goal_centre)
-        # half a wave over the extent of a straight state, so that its two bounds differ
+        # half a wave over the extent of a straight state: its two bounds then differ
         pace = np.where(self.space.is_angle, 1.0, 0.5 * TWO_PI / (2.0 * self.space.extent))
         rows = []
         if self.goal_is_state:
@@ -146,12 +146,12 @@ class Foresight:
     """The probability of avoiding each hypothesis from any state and time on; see `foresee`.
 
     Attributes:
-      fingerprint: of the problem that the network was learned for.
-      learned_from: digest of the evidence that the network was fitted to at the starts of tasks.
-      inputs: of the network.
-      goals: [G, g] goals that the network was learned for.
-      weights: of each layer [out, in].
-      biases: of each layer [out].
+      fingerprint: fingerprint of the problem for which the network was learned.
+      learned_from: digest of the evidence to which the network was fitted at the starts of tasks.
+      inputs: inputs of the network.
+      goals: [G, g] goals for which the network was learned.
+      weights: weights [out, in] of each layer.
+      biases: biases [out] of each layer.
     """
 
     fingerprint: str
@@ -177,9 +177,9 @@ class Foresight:
         """Return log P_0(avoid c from here on) [..., H], nats.
 
         Args:
-          state: [..., n].
-          step: [...] from 0 to T, or one for all.
-          goal: [..., g], or one for all.
+          state: [..., n] states.
+          step: [...] steps from 0 to T, or one step for all states.
+          goal: [..., g] goals, or one goal for all states.
         """
         state, goal = np.asarray(state, float), np.asarray(goal, float)
         step = np.broadcast_to(np.asarray(step, float), state.shape[:-1])
@@ -190,7 +190,7 @@ class Foresight:
         return np.minimum(output, 0.0) - np.log1p(np.exp(-np.abs(output)))
 
     def towards(self, goal: np.ndarray) -> Ahead:
-        """Return the `Ahead` for one goal [g], which takes microseconds a state.
+        """Return the `Ahead` for one goal [g]; each of its calls takes microseconds.
 
         Raises:
           ValueError: if the network was not learned for this goal.
@@ -225,7 +225,7 @@ class Foresight:
 
     @classmethod
     def load(cls, path: str | Path, problem: Problem | ProblemRecord) -> Foresight:
-        """Read a foresight of this problem, or of an evidence's problem, that `save` wrote.
+        """Read a foresight that `save` wrote, and check that it belongs to a problem.
 
         Raises:
           store.StoreError: if the file is cut short, altered, or of another kind, version or
@@ -258,14 +258,14 @@ class Foresight:
 
 
 def hidden_sizes(num_hypotheses: int) -> tuple[int, ...]:
-    """Return the widths of the layers before the last."""
+    """Return the widths of the layers before the last layer."""
     return (WIDTH, WIDTH) if num_hypotheses <= MANY else (WIDTH, WIDTH, RANK)
 
 
 class _Towards:
-    """The network for one goal and one state at a time, in buffers that are made once.
+    """The network for one goal, evaluated for one state at a time, in buffers made once.
 
-    The inputs that depend on time and goal alone are computed for every step beforehand.
+    Inputs that depend on time and goal alone are computed beforehand, for every step.
     """
 
     def __init__(self, foresight: Foresight, goal: np.ndarray) -> None:

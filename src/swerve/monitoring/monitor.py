@@ -1,18 +1,19 @@
-"""Watch a demonstration: `Monitor._prefix_log_likelihood` computes the likelihood of a prefix.
+"""Watch a demonstration state by state, and infer which constraint it obeys.
 
 A demonstration that has avoided c up to its state s_t has, against no constraint, the
 log-likelihood ratio
 
     log L_t(c) = log P_0(avoid c after t | s_t, t, goal) - log P_0(avoid c | s_0, goal).
 
-The foresight gives the first term, the evidence the second (log Z_c / Z_0). A demonstration that
-has entered c rules c out. At the end of a demonstration nothing is left to be avoided: the first
-term is 0, and the answer is that of `infer`. With a tolerance eps the likelihood is
-eps + (1 - eps) L_t(c), or eps once c is entered.
+The foresight gives the first term, the evidence the second (log Z_c / Z_0).
+`Monitor._prefix_log_likelihood` computes the ratio. A demonstration that has entered c rules c out.
+At the end of a demonstration nothing is left to avoid: the first term is 0, and the answer is that
+of `infer`. With a tolerance eps the likelihood is eps + (1 - eps) L_t(c), or eps after c has been
+entered.
 
-Foresight cannot tell probabilities as small as evidence can. Where the two differ widely at the
-start itself, the foresight gives the second term too until the end: a demonstrator who has not
-moved then tells nothing.
+Foresight cannot estimate such small probabilities as evidence can. Where the two differ widely at
+the start, the foresight gives the second term too, until the end. So a demonstrator who has not
+moved changes no belief.
 
 Shapes: H hypotheses, n state dimensions.
 """
@@ -36,12 +37,12 @@ from swerve.monitoring.foresight import Foreseer
 from swerve.problem.record import ProblemRecord
 
 # nats: largest difference between log P_0(avoid c | s_0, goal) by evidence and by foresight, which
-# cannot tell a probability such as exp(-20). Beyond it the foresight's own value is subtracted.
+# cannot estimate a probability such as exp(-20). Above, the foresight's own value is subtracted.
 AGREEMENT = 1.0
 
 
 class Belief(NamedTuple):
-    """What the states so far tell about the constraint.
+    """The belief about the constraint after the states so far.
 
     Attributes:
       struck_out: [H] True where a hypothesis is ruled out; with a tolerance, entering a hypothesis
@@ -50,7 +51,7 @@ class Belief(NamedTuple):
       none: probability that there is no constraint.
       hypotheses: [H] probability of each hypothesis.
       entered: the hypotheses that the newest state is the first to enter.
-      flags: what is odd about the newest state; empty if nothing is.
+      flags: the oddities of the newest state; empty if nothing is odd.
     """
 
     struck_out: np.ndarray
@@ -64,13 +65,13 @@ class Belief(NamedTuple):
 class Monitor:
     """Infer which constraint one demonstrator obeys, while the demonstration lasts.
 
-    A monitor's memory does not grow with the number of states. Several demonstrators take a monitor
-    each. Do not write to the arrays that a monitor returns.
+    A monitor's memory does not grow with the number of states. Use one monitor for each
+    demonstrator. Do not write to the arrays that a monitor returns.
 
     Args:
       evidence: the evidence that `infer` would use.
       task: start and goal of the demonstration, one of the tasks of the evidence.
-      foresight: from `swerve.foresee`, or `swerve.Rollouts` of the nominal distribution.
+      foresight: foresight from `swerve.foresee`, or `swerve.Rollouts` of the nominal distribution.
       prior: as for `infer`.
       tolerance: as for `infer`.
       margin: as for `infer`.
@@ -78,7 +79,8 @@ class Monitor:
 
     Raises:
       ValueError: if an argument is of the wrong kind or range, hypotheses are about actions, there
-        is no evidence for the task, or the foresight is of another problem or not for the goal.
+        is no evidence for the task, or the foresight is of another problem, or was not learned for
+        the goal.
     """
 
     def __init__(
@@ -122,25 +124,27 @@ class Monitor:
         self._last: Belief | None = None
 
     def observe(self, state: Sequence[float] | np.ndarray, time: float | None = None) -> Belief:
-        """Take in the next state and return what all states so far tell.
+        """Take in the next state and return the belief after all states so far.
 
         Args:
           state: [n]; angles may be wrapped or not.
           time: since the task's start [s]. None puts the first state at the start and each further
-            state one step of the model after the last. Either all states have a time or none.
+            state one step of the model after the last. Either all states have a time, or no state
+            has.
 
         Returns:
-          The belief, with flags that say what is odd about this state. It is the first state but
-          not the task's start (what came before this state is then left open); it lies outside the
-          bounds or in a known constraint; it cannot be reached from the last state in the time
-          between them; it repeats the last state (which changes nothing) or contradicts it; more
-          than a step and a half lie between them; or it is later than the model's horizon.
+          The belief, with flags that say what is odd about this state: the state comes first but is
+          not the task's start (earlier states are then unknown); the state lies outside the bounds
+          or in a known constraint; the state cannot be reached from the last state in the time
+          between them; the state repeats the last state (which changes nothing) or contradicts it;
+          more than a step and a half lies between the two states; or the state is later than the
+          model's horizon.
 
         Raises:
-          ValueError: if the state is not n finite numbers, or time is not finite, is negative, runs
-            backwards, or is given for some states only; then nothing has changed. Or if no answer
-            that the prior allows is left, or the foresight gives NaN; then the state has been taken
-            in.
+          ValueError: if the state is not n finite numbers, or the time is not finite, is negative,
+            runs backwards, or is given for some states only: then the monitor has not changed. Or
+            if no answer that the prior allows is left, or the foresight gives NaN: then the state
+            has been taken in.
         """
         values = self._checked(state)
         now, is_first = self._checked_time(time), not self._state
@@ -174,7 +178,7 @@ class Monitor:
         return not self._state
 
     def finish(self) -> Belief:
-        """Return the belief if the demonstration ends here: the answer of `infer`.
+        """Return the belief if the demonstration ends here, which is the answer of `infer`.
 
         The belief is flagged as cut short where nominal trajectories take longer.
 
@@ -198,11 +202,12 @@ class Monitor:
         )
 
     def _begin(self, state: np.ndarray, log_ratio: np.ndarray, foreseen: np.ndarray) -> None:
-        """Set log P_0(avoid c) of demonstrations that begin in a state [n].
+        """Set log P_0(avoid c) for demonstrations that begin in a state [n].
 
         Args:
           state: the first state.
-          log_ratio: [H] log P_0(avoid c) by the evidence, nats; -inf where nobody can avoid c.
+          log_ratio: [H] log P_0(avoid c) by the evidence, nats; -inf where no trajectory can avoid
+            c.
           foreseen: [H] log P_0(avoid c) by the foresight, nats.
         """
         task = Task(state[None], self._goal[None])
@@ -215,11 +220,11 @@ class Monitor:
         self._at_start = np.where(is_far, foreseen, known).astype(np.float32)
 
     def _is_over(self, step: int) -> bool:
-        """Return whether a step is the horizon, at which nothing is left to be avoided."""
+        """Return whether a step is the horizon, where nothing is left to avoid."""
         return step == self._problem.num_steps
 
     def _struck_out(self) -> np.ndarray:
-        """Return which hypotheses [H] are ruled out; with a tolerance, entered ones are not."""
+        """Return [H] True where ruled out; with a tolerance, entering does not rule out."""
         return self._impossible.copy() if self._tolerance else self._entered | self._impossible
 
     def _prefix_log_likelihood(self, step: int, struck_out: np.ndarray) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""How far to believe an answer: verdicts on samples, doubts about demonstrations."""
+"""Judge how far to trust an answer: verdicts on samples, doubts about demonstrations."""

@@ -1,7 +1,7 @@
-"""Say what speaks against trusting an inference, in plain words.
+"""Give the reasons against trusting an inference, in plain words.
 
-A demonstration is compared with nominal trajectories of its task. It need not resemble them, but
-its end, its duration and its speed should be of the same order of magnitude.
+A demonstration is compared with nominal trajectories of its task. The demonstration need not
+resemble them, but its end, its duration and its speed should be of the same order of magnitude.
 
 Shapes: n state dimensions.
 """
@@ -21,8 +21,8 @@ from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
 from swerve.trust import verdicts
 
-FAR_END = 0.05  # of a state's extent: a demonstration that ends nearer to its goal has arrived
-FACTOR = 2.0  # times the reach of nominal ends: beyond it an end is odd
+FAR_END = 0.05  # share of a state's extent: a demonstration that ends nearer its goal has arrived
+FACTOR = 2.0  # times the reach of nominal ends: an end beyond is odd
 FAST_SHARE = 0.9  # quantile of the speeds of steps: noise makes single steps fast
 
 
@@ -40,7 +40,7 @@ def warnings(inference: Ranking) -> tuple[str, ...]:
 
 
 def data_warnings(inference: Ranking) -> tuple[str, ...]:
-    """Return warnings about samples and demonstrations, whatever they are used for."""
+    """Return the warnings about samples and demonstrations that hold for every use of them."""
     return (*_of_samples(inference), *_doubts(inference))
 
 
@@ -50,7 +50,7 @@ def _of_samples(inference: Ranking) -> Iterator[str]:
 
 
 def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
-    """Return what is odd about a demonstration beside nominal trajectories, by kind of doubt."""
+    """Return the oddities of a demonstration beside nominal trajectories, by kind of doubt."""
     is_known = evidence.is_exact or not evidence.has_too_few[task]
     found = {
         "end": _odd_end(demonstration, evidence, task) if is_known else "",
@@ -102,7 +102,7 @@ def _odd_duration(demonstration: Demonstration, evidence: Evidence, task: int) -
 def _steps(demonstration: Demonstration, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
     """Return the change of each state from row to row [L-1, n] and its duration [L-1] s."""
     problem, states, times = evidence.problem, demonstration.states, demonstration.times
-    if times is None:  # assume that it lasts as long as an episode of the model
+    if times is None:  # assume that the demonstration lasts as long as an episode
         times = np.linspace(0.0, problem.num_steps * problem.dt, len(states))
     return np.abs(problem.space.difference(states[:-1], states[1:])), np.diff(times)
 
@@ -111,7 +111,7 @@ def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> s
     problem = evidence.problem
     horizon = problem.num_steps * problem.dt
     moved, elapsed = _steps(demonstration, evidence)
-    # by sorting: np.quantile would load another 30 ms of NumPy
+    # a quantile by sorting: np.quantile would take another 30 ms to load
     speed = np.sort(moved / elapsed[:, None], axis=0)[int(FAST_SHARE * (len(moved) - 1))]
     nominal = np.maximum(evidence.summary.fastest[task], 1e-6 * problem.space.extent / horizon)
     worst = int((speed / nominal).argmax())
@@ -238,7 +238,7 @@ def _impossible(inference: Ranking) -> Iterator[str]:
 
 
 def _or_coarse(inference: Ranking) -> str:
-    """Return the other possible cause where cells are judged at their centres."""
+    """Return another possible cause where cells are judged at their centres; '' elsewhere."""
     if not kind_stored(inference.evidence.solver).tabulates:
         return ""
     return "; or it starts near an edge, and cells are too wide: give it more num_cells"
@@ -254,7 +254,7 @@ def _tabled(inference: Ranking) -> Iterator[str]:
 
 
 def tolerable(inference: Ranking) -> str:
-    """Return the least tolerance that leaves a hypothesis, where all are struck out."""
+    """Return a text with the least tolerance that leaves a hypothesis, where all are struck out."""
     tolerance = inference.least_tolerance
     if tolerance is None:
         return "; no tolerance makes any of them more probable than no constraint"

@@ -1,4 +1,4 @@
-"""Say how far the samples of each task can be trusted: warnings, and one verdict a task.
+"""Judge how far the samples of each task can be trusted: warnings, and a verdict for each task.
 
 Samples are "not to be trusted" where the effective sample size is below max(100, 2 % of N) (see
 `estimators.least_effective`), or where independent parts of the samples differ in log Z_0 by more
@@ -9,9 +9,9 @@ the K tasks in use, task k needs
 
     N_k = N K (n_k e_k / gap)^2
 
-trajectories, where n_k e_k is twice the sum of what its n_k demonstrations add to the standard
-errors of the two scores. No check here can see a mode of pi_0 that no trajectory ever took: the
-weights of the other trajectories look perfect.
+trajectories, where n_k e_k is twice the sum of the amounts that the task's n_k demonstrations add
+to the standard errors of the two scores. No check can detect a mode of pi_0 that no trajectory
+took: the weights of the other trajectories then look perfect.
 
 Shapes: K tasks.
 """
@@ -30,18 +30,18 @@ from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import RESAMPLED, TEMPERED
 from swerve.inference.ranking import TIE_ERRORS, Ranking
 
-HIGH_KL = {  # nats, KL between policy and pi_0 by method: above it errors may be understated
+HIGH_KL = {  # nats, by method: above this KL between policy and pi_0, errors may be understated
     "smc": math.inf,
     "tempered": math.inf,
     "importance": 0.5,
     "plain": 0.1,
 }
-HIGH_SPREAD = 1.0  # nats, standard deviation of log Z_0 over islands: above it they disagree
-NUM_ERRORS = 3.0  # standard errors by which log Z_0 of solver and samples may differ
-GOOD_ESS_SHARE = 0.3  # of N: above it the policy is good, and there are too few samples
-NUM_SETTLED = 3  # first hypotheses whose order has to be settled
-MOST_SAMPLES = 10_000_000  # trajectories a task: more are never suggested
-FAR_BEHIND = 7.0  # nats behind the first, less errors: a thousand times less likely, order is moot
+HIGH_SPREAD = 1.0  # nats, standard deviation of log Z_0 over islands: above, the islands disagree
+NUM_ERRORS = 3.0  # standard errors by which the solver's log Z_0 and the samples' may differ
+GOOD_ESS_SHARE = 0.3  # share of N: above this ESS, the policy is good but samples are too few
+NUM_SETTLED = 3  # hypotheses at the head of the ranking whose order has to be settled
+MOST_SAMPLES = 10_000_000  # trajectories per task: larger numbers are never suggested
+FAR_BEHIND = 7.0  # nats below the first, less errors: 1,000 times less likely, so no order needed
 
 
 def warnings(inference: Ranking) -> Iterator[str]:
@@ -100,10 +100,11 @@ def summary(inference: Ranking) -> str:
 
 
 def _samples_needed(inference: Ranking, task: int) -> np.ndarray:
-    """Return N_k of the module's formula for each gap between the first hypotheses.
+    """Return N_k of the module's formula for each gap between neighbours of the first hypotheses.
 
-    Infinite where a score rests on a number that more samples do not change. 0 for hypotheses that
-    explain nothing within the errors, and for those far behind the first: they need no order.
+    N_k is infinite where a score rests on a number that more samples do not change. N_k is 0 for
+    hypotheses that explain nothing within the errors, or are far behind the first hypothesis: these
+    need no order.
     """
     first = inference.ranking[: NUM_SETTLED + 1]
     evidence, num_tasks = inference.evidence, np.count_nonzero(inference.task_counts)
@@ -134,16 +135,16 @@ def is_untrusted(inference: Ranking) -> bool:
 
 
 def is_too_hot(evidence: Evidence) -> bool:
-    """Return whether beta is too far below the beta sampled for to believe the weights.
+    """Return whether beta is too far below `sampling_beta` for the weights to be trusted.
 
-    Trajectories that are common at a low beta may be too rare at a high one to be sampled at all.
-    The effective sample size does not show that.
+    Trajectories that are common at a low beta may be too rare at a high beta to be sampled at all.
+    The effective sample size does not show that such trajectories are missing.
     """
     return evidence.problem.beta < HOTTEST * evidence.sampling_beta
 
 
 def _has_too_few(inference: Ranking) -> np.ndarray:
-    """Return [K] True where a task in use has too small an effective sample size."""
+    """Return [K] True where the effective sample size of a task in use is too small."""
     return inference.evidence.has_too_few & (inference.task_counts > 0)
 
 
@@ -162,15 +163,16 @@ def _is_far(inference: Ranking) -> np.ndarray:
 def _value_gap(inference: Ranking) -> np.ndarray:
     """Return [K] the unexplained gap between log Z_0 of the solver and of its samples, nats.
 
-    Importance weights explain a gap of -log(ESS / N): for example where only that share of the
-    trajectories survives a wall. For resampled trajectories of a grid they do not: their ESS counts
-    ancestors. The gap is 0 for tasks not in use, and where the solver has no soft value.
+    Importance weights explain a gap of -log(ESS / N), for example where only the share ESS / N of
+    the trajectories survives a wall. Resampled trajectories of a grid do not explain this gap,
+    since their ESS counts ancestors. The gap is 0 for tasks not in use, and where the solver has no
+    soft value.
     """
     evidence = inference.evidence
     kind = kind_stored(evidence.solver)
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     share = evidence.effective_sample_size / evidence.num_trajectories
-    error = np.sqrt(np.maximum(1.0 / share - 1.0, 0.0) / evidence.num_trajectories)  # of log Z_0
+    error = np.sqrt(np.maximum(1.0 / share - 1.0, 0.0) / evidence.num_trajectories)  # in log Z_0
     if evidence.method in RESAMPLED and kind.computes_value:
         share, error = np.ones_like(share), evidence.log_partition_error
     explained = NUM_ERRORS * error - np.log(share)
@@ -228,7 +230,7 @@ def _far_policy(inference: Ranking) -> Iterator[str]:
 
 
 def _wrong_value(inference: Ranking) -> Iterator[str]:
-    """Yield a warning where log Z_0 of the solver and of its samples differ."""
+    """Yield a warning where log Z_0 of the solver differs from log Z_0 of the samples."""
     evidence, gap = inference.evidence, _value_gap(inference)
     if gap.any():
         worst = int(gap.argmax())
@@ -247,10 +249,10 @@ def _at_its_beta(evidence: Evidence) -> str:
 
 
 def _remedy(evidence: Evidence, share: float = 0.0) -> str:
-    """Return what to do about samples that cannot be trusted.
+    """Return advice on what to do about samples that cannot be trusted.
 
     Args:
-      evidence: with the samples.
+      evidence: evidence with the samples.
       share: effective sample size over N.
     """
     if evidence.is_of_other_beta:
@@ -316,7 +318,7 @@ def _names(hypotheses: np.ndarray) -> str:
 
 
 def _in_vain(evidence: Evidence) -> str:
-    """Return the text for ratios that `swerve.resolve` tried and could not settle."""
+    """Return the text for log ratios that `swerve.resolve` tried and could not settle."""
     finer = kind_stored(evidence.solver).finer
     more = f"give the solver more {finer}, " if finer else ""
     return (
