@@ -83,8 +83,8 @@ def demonstrate(
       out: Folder to write demo_000.csv, demo_001.csv, ... and tasks.csv into.
       num: How many, of tasks sampled from the MDP. [default: 10, or one for each of --tasks]
       by: boltzmann samples pi_c, the distribution that the model expects of demonstrators.
-        optimal-control takes the best path that avoids the constraint, by any actions rather than
-        those of the MDP alone; it needs the extra 'control' (CasADi, IPOPT).
+        optimal-control takes the best path that avoids the constraint, by any actions, not only
+        the MDP's own; it needs the extra 'control' (CasADi, IPOPT).
       solver: Of boltzmann: grid, tabular or soft-value, with settings as in 'grid?num_points=81'.
         [default: tabular if the MDP is, else grid]
     """
@@ -143,9 +143,9 @@ def _boltzmann(
       problem: the problem.
       forbidden: the constraint c.
       tasks: one for each name; None samples tasks from the MDP.
-      names: of the demonstrations.
+      names: names of the demonstrations.
       solver: specification of the solver that learns pi_c, or None for the default.
-      seed: of the tasks and of the demonstrations.
+      seed: seed of the tasks and of the demonstrations.
     """
     from swerve.demonstrators.boltzmann import demonstrate as sample_demonstrations
     from swerve.problem.tasks import draw_tasks
@@ -170,9 +170,9 @@ def _optimal(
       problem: the problem.
       forbidden: the constraint to avoid.
       tasks: one for each name; None samples tasks from the MDP.
-      names: of the demonstrations.
+      names: names of the demonstrations.
       sought: arguments of `swerve.optimal_control`.
-      seed: of the tasks and of the guesses.
+      seed: seed of the tasks and of the guesses.
     """
     from swerve.demonstrators.optimal_control import SPARE, first_optima, optimal_control
     from swerve.demonstrators.path_search import Search

@@ -5,7 +5,7 @@
 
 A line in is an object with the states by name, or an array of the states in order. `t` [s] and `id`
 may be left out; demonstrations with different ids are watched side by side. {"end": true, "id":
-...} ends a demonstration; its answer is that of `infer`. A bad line is answered by {"error": ...,
+...} ends a demonstration; its answer agrees with `infer`. A bad line is answered by {"error": ...,
 "line": its number} and changes nothing.
 """
 
@@ -33,7 +33,7 @@ class Watch:
     Args:
       evidence: evidence of the tasks of all demonstrations.
       foresight: how likely each hypothesis is avoided from a state on, see `Monitor`.
-      tasks: by name; the id of a demonstration names its task, unless there is only one task.
+      tasks: tasks by name; a demonstration's id names its task, unless there is only one task.
       options: options of `Monitor`.
 
     Raises:

@@ -4,7 +4,7 @@
 
 A solver learns a policy with c in force, from nothing or from a nominal learned without c; the
 policy never enters c. A tabular policy is pi_c itself. Any other policy is close to pi_c: one of
-many trajectories is chosen by importance weight, or, where too few of them are effective, one of
+many trajectories is chosen by importance weight, or, where too few are effective, one of
 the particles of sequential Monte Carlo. The error of the policy then shrinks to the order of one
 over the effective sample size.
 """

@@ -82,8 +82,8 @@ def optimal_control(
         (`ActionBox`, `StateAction`).
       tasks: one task, a list of them, or a `Task` of arrays with a leading axis.
       names: names of the demonstrations; demo_000 and so on if None.
-      limits: least and largest action, which may be infinite; those of the discretised actions if
-        None.
+      limits: least and largest action, which may be infinite; if None, the range of the
+        discretised actions.
       num_steps: T; the problem's horizon if None. Give it where episodes end early.
       num_guesses: number of paths to begin with; more paths find better optima.
       goal_tolerance: how far from its goal a demonstration may end, where the names of goals are

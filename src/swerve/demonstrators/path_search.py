@@ -215,7 +215,7 @@ def _checked_limits(limits: tuple[float, float] | None, problem: Problem) -> np.
     if pair is None or not pair[0] < pair[1]:
         raise ValueError(
             f"limits: expected the least and the largest action, as in (-10.0, 10.0), or None for "
-            f"those of the discretised actions, got {limits!r}"
+            f"the range of the discretised actions, got {limits!r}"
         )
     return np.repeat(np.array(pair)[:, None], table.shape[1], axis=1)
 

@@ -141,7 +141,7 @@ def divergence(
 
     Args:
       problem: dynamics and reward.
-      demonstrations: with actions; of a tabular MDP, states may be enough.
+      demonstrations: demonstrations with actions; of a tabular MDP, states may be enough.
       log_partition: [M] log Z_C of the task of each demonstration, nats.
 
     Raises:

@@ -44,7 +44,7 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     exceeds 1 % at some time.
 
     Args:
-      course: from `swerve.follow`.
+      course: result of `swerve.follow`.
       path: a file to write, whose suffix tells the format, or None.
       width: width of the picture [in].
 
@@ -93,7 +93,7 @@ def animate_course(course: Course, path: str | Path, *, width: float = WIDTH) ->
     """Write an animation of the posterior over the state space as a demonstration went on.
 
     Args:
-      course: from `swerve.follow`.
+      course: result of `swerve.follow`.
       path: a .gif file.
       width: width of the picture [in].
 
@@ -156,7 +156,7 @@ def _so_far(course: Course, blank: Ranking, k: int) -> Ranking:
     """Return a ranking that holds the demonstration up to state k, only to be drawn.
 
     Args:
-      course: from `swerve.follow`.
+      course: result of `swerve.follow`.
       blank: the ranking without demonstrations.
       k: a state, or L for the end.
     """

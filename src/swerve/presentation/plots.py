@@ -118,7 +118,7 @@ def _name_bars(axes: Axes, inference: Ranking, width: float, reach: float) -> No
     """Write rank and name above the bars of `plot_ranking`, and the score at their ends.
 
     Args:
-      axes: with one bar a row, from row 0.
+      axes: axes with one bar a row, from row 0.
       inference: the ranking drawn.
       width: width of the picture [in].
       reach: where the longest whisker ends, in units of the score.
@@ -149,7 +149,7 @@ def plot_contributions(
     under no constraint would have entered it.
 
     Args:
-      inference: from at least one demonstration.
+      inference: inference from at least one demonstration.
       hypothesis: its index; the best of the ranking if None.
       path: a file to write, whose suffix tells the format, or None.
       width: width of the picture [in].
@@ -181,7 +181,7 @@ def _chosen(inference: Ranking, hypothesis: int | None) -> int:
     """Return the index of the hypothesis to draw.
 
     Raises:
-      ValueError: as `plot_contributions` does.
+      ValueError: under the conditions of `plot_contributions`.
     """
     if not inference.demonstrations:
         raise ValueError("plot_contributions: expected an inference from demonstrations, got none")

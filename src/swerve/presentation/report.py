@@ -296,7 +296,7 @@ def _hypotheses(inference: Ranking) -> str:
 
 
 def _how_to_read() -> str:
-    """Return what the words and numbers of the page mean."""
+    """Return the section that explains the words and numbers of the page."""
     return f"""<h2>How to read this</h2>
 <p><strong>Nats</strong> measure evidence on a logarithmic scale: under a constraint with s nats the
 demonstrations are e<sup>s</sup> times as likely as under no constraint; 1 nat is 2.7 times, 3 nats

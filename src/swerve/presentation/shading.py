@@ -73,7 +73,7 @@ class Shading(NamedTuple):
     Attributes:
       values: [H] the numbers that the hypotheses are shaded by; -inf where struck out.
       norm: scale from values to colours.
-      label: of the colour bar.
+      label: label of the colour bar.
       outlined: indices of the hypotheses with an outline; the first has a heavy one.
       labels: legend of the first outlined hypothesis, and of the others.
       text: returns the value of a hypothesis in words.

@@ -1,1 +1,1 @@
-"""Published results, made from nothing: a folder for each result; what they share lies beside."""
+"""Published results, made from nothing: a folder for each result, beside the shared modules."""

@@ -90,7 +90,7 @@ def smc_rollout(
       num_particles: P of an island, static.
 
     Returns:
-      N = I P particles; those of an island follow one another.
+      N = I P particles, island by island.
     """
     num_steps, num = policy.problem.mdp.num_steps, num_islands * num_particles
     key_actions, key_resampling = jax.random.split(key)

@@ -68,7 +68,7 @@ def temper(
       seed: seed of everything random.
 
     Returns:
-      N = I P particles; those of an island follow one another and have the same weight.
+      N = I P particles, island by island; the particles of an island have the same weight.
 
     Raises:
       TemperingError: if the trajectories do not reach beta in MAX_TEMPERATURES temperatures.

@@ -2,7 +2,7 @@
 
     problem.json                                   the record: the problem as data, hashes of the
                                                    source files that made it, the settings used last
-    <solver>.seed<S>.nominal                       what the solver learned
+    <solver>.seed<S>.nominal                       the nominal distribution that the solver learned
     <solver>.seed<S>.<method>.<N>.evidence         what N trajectories per task tell
     <solver>.seed<S>.<method>.<N>.foresight        what a monitor needs besides the evidence
     <solver>.seed<S>.checkpoint                    training that has not finished
@@ -59,7 +59,7 @@ class Reading:
       state: what the record says of the results.
       record: the problem as data; None unless the state is CURRENT.
       settings: settings used last; all None if the state is ABSENT or OTHER_FORMAT.
-      changes: for people, what has changed; empty unless the state is CHANGED.
+      changes: texts that say what has changed; empty unless the state is CHANGED.
     """
 
     state: State

@@ -19,7 +19,7 @@ class Settings:
 
     Attributes:
       solver: a solver specification (default: `learn.default_solver`).
-      seed: of learning and sampling (default 0).
+      seed: seed of learning and sampling (default 0).
       method: "smc" (default of solvers with a soft value), "importance" (default of other solvers
         that are sampled) or "plain"; "exact" of solvers that give exact answers.
       num_trajectories: N a task (default NUM_TRAJECTORIES).

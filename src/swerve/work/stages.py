@@ -43,11 +43,11 @@ class ProblemInFolder:
 
     Args:
       problem_text: a problem specification, see `loading.load_problem`.
-      folder: where results are kept; None keeps none.
+      folder: folder of the results; None keeps no results.
       say: called with a line of text on each thing found or done.
 
     Attributes:
-      opened: what the folder's record said at first.
+      opened: the folder's record as it was read first.
 
     Raises:
       ValueError: if the folder holds the results of another problem.

@@ -258,7 +258,7 @@ class Work:
         return found[0].joined(*found[1:])
 
     def _save(self, found: list[Evidence]) -> None:
-        """Add evidence to what the folder, which is prepared, holds."""
+        """Add evidence to the folder, which has been prepared."""
         if self._folder is not None:
             evidence = found[0].joined(*found[1:])
             self._folder.add_evidence(evidence, self.settings, self._stages.load().record)

@@ -113,7 +113,7 @@ class Early(NamedTuple):
 
     Attributes:
       exact: y from which the true region has a posterior above SURE [m].
-      near: y from which the true region and its neighbours together have such a posterior [m].
+      near: y from which the true region and its neighbours together have more than SURE [m].
     """
 
     exact: float

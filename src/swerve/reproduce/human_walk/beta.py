@@ -83,7 +83,7 @@ def choose_beta(
       start: inference at any beta, for the squares that tracks enter and that count for them.
       tried: betas to try, ascending.
       generator: random generator of the bootstrap.
-      avoiding: index of a hypothesis in force for the tracks that it counts for; None for none.
+      avoiding: index of a hypothesis in force for the tracks that it counts for; None if none is.
       advance: called after each beta.
     """
     tasks = Task.stack([item.task for item in start.demonstrations])

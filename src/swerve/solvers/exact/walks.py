@@ -45,7 +45,7 @@ class Steps(NamedTuple):
       source: [M] the state that each step leaves.
       target: [M] the state that each step leads to.
       num_states: P.
-      entering: for each of H hypotheses, which steps enter it.
+      entering: for each of H hypotheses, the numbers of the steps that enter it.
     """
 
     source: np.ndarray
@@ -177,7 +177,7 @@ class Walks:
 
     @cached_property
     def blocks(self) -> list[Block]:
-        """Blocks of hypotheses; those of one block take away about equally many steps."""
+        """Blocks of hypotheses; all hypotheses of a block take away about equally many steps."""
         sizes = np.array([len(steps) for steps in self.steps.entering])
         order = np.argsort(sizes, kind="stable")
         return [self._block(order[k : k + BLOCK]) for k in range(0, len(order), BLOCK)]

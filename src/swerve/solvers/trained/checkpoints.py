@@ -24,7 +24,7 @@ class Checkpoint:
       problem: problem that is learned.
       settings: the solver, a dataclass of settings.
       seed: seed of the run.
-      teacher: fingerprint of the policy that the run imitates; empty for none.
+      teacher: fingerprint of the policy that the run imitates; empty if there is none.
     """
 
     path: Path | None

@@ -181,7 +181,7 @@ class DistilledTrainer(NetworkTrainer):
     def columns(
         self, network: DenseNetwork, segment: Segment
     ) -> tuple[tuple[Array, ...], Float[Array, "L N"]]:
-        """Return what the teacher did, and the errors of the network's soft values [nats]."""
+        """Return what `look` kept of the teacher, and the errors of the network's values [nats]."""
         features, _, value = segment.seen
         _, now = jax.lax.map(over_lanes(self.policy(network).of, -1), features)
         return segment.seen, value - now

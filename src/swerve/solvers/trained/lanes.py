@@ -56,7 +56,7 @@ def check_lanes(problem: Problem, num_lanes: int, seed: int) -> None:
 
 
 def _replacements(allowed: Bool[Array, " N"]) -> Int[Array, " N"]:
-    """Return for each lane its own number if it is allowed, else that of the next allowed lane."""
+    """Return for each lane its own number if it is allowed, else the next allowed lane's."""
     num_lanes = allowed.shape[0]
     lanes = jnp.arange(num_lanes)
     ahead = jnp.where(jnp.concatenate([allowed, allowed]), jnp.arange(2 * num_lanes), 2 * num_lanes)

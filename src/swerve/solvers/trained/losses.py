@@ -33,7 +33,7 @@ def discounted(
 
     Args:
       residual: nats.
-      ended: where the episode ended with this step.
+      ended: True where the episode ended with this step.
       trace: lambda, between 0 and 1.
     """
 

@@ -15,7 +15,7 @@ class DenseNetwork(eqx.Module):
     """A multilayer perceptron with tanh between its layers.
 
     Args:
-      sizes: of the input, every hidden layer and the output.
+      sizes: sizes of the input, of every hidden layer and of the output.
       last_scale: factor on the last layer's first weights; if small, outputs begin near 0.
       key: source of randomness.
     """

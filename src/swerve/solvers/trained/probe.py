@@ -78,7 +78,7 @@ class Probe:
 
     Args:
       problem: problem that is learned.
-      tasks: as for `sample`, of which the first NUM_TASKS are used; sampled from the MDP if None.
+      tasks: tasks as for `sample`; the first NUM_TASKS are used. Sampled from the MDP if None.
 
     Raises:
       ValueError: if a task does not fit the problem.
