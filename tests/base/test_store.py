@@ -194,7 +194,7 @@ def test_refuses_a_newer_version(path: Path) -> None:
 
 def test_refuses_an_older_version(path: Path) -> None:
     with pytest.raises(
-        store.StoreError, match=r"version 3 of .* reads 4 and no longer that one.*make it again"
+        store.StoreError, match=r"version 3 of .* reads 4 and no longer version 3.*make it again"
     ):
         store.open_file(path, KIND, VERSION + 1)
 

@@ -47,7 +47,7 @@ any_occupancy: Any = Occupancy
         ),
         (
             lambda: loose.HalfSpace(1.0, x=0.0),
-            "not zero, got {'x': 0.0}, which says nothing of any",
+            "not zero, got {'x': 0.0}, which restricts no state",
         ),
         (lambda: loose.Polygon(None), "Polygon: expected at least 3 vertices, each a pair of num"),
         (

@@ -117,7 +117,7 @@ class TestLoadProblem:
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("walker9", "'walker9' is no problem: expected one of car, .*a path/to/file.py:"),
+            ("walker9", "'walker9' names no problem: expected one of car, .*a path/to/file.py:"),
             ("pendulum?gravity=9", "no parameter 'gravity'; there are max_torque, beta, measure"),
             ("pendulum?beta=hot", "parameter 'beta': expected float, got 'hot'"),
             ("pendulum?max_torque=-1", "pendulum: expected max_torque > 0, got -1.0"),

@@ -86,7 +86,11 @@ def test_the_end_of_one_whose_goal_is_no_state(evidence: Evidence) -> None:
     [
         ({"kl": 0.6}, "importance", "more than 0.5 nats from pi_0 (worst: demo_b, KL 0.60)"),
         ({"kl": 0.4}, "importance", None),
-        ({"kl": 0.4}, "plain", "plain weights assume that it is pi_0: use importance weights"),
+        (
+            {"kl": 0.4},
+            "plain",
+            "plain weights assume that the policy is pi_0: use importance weights",
+        ),
         ({"kl": 0.05}, "plain", None),
         ({"kl": 0.05, "effective_sample_size": 400.0 * (1.0 + 1e-12)}, "plain", None),
         ({"soft_value": 3.2}, "importance", "log Z_0 is not that of its samples (worst: demo_b, "),
@@ -162,7 +166,7 @@ def test_the_same_demonstration_twice() -> None:
     evidence = make_evidence()
     items = [make_demonstration(1, "a"), make_demonstration(1, "b"), make_demonstration(2, "c")]
     [warning] = infer(evidence, items).warnings
-    assert warning == "a is there 2 times (as a, b): each counts as evidence of its own"
+    assert warning == "a is given 2 times (as a, b): each copy counts as a separate demonstration"
     assert not infer(evidence, items[1:]).warnings
 
 

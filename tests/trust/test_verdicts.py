@@ -98,7 +98,7 @@ def test_equal_scores_are_never_settled() -> None:
     columns = chances(0.5, 0.5, 0.3, 0.1)
     columns[0, :, 6] = columns[0, ::-1, 5]
     result = infer(evidence_of_columns(columns, CELLS), [make_demonstration()])
-    assert result.verdict(0).endswith("not settled, nor will more samples do it")
+    assert result.verdict(0).endswith("not settled, and more samples will not settle it")
 
 
 def test_hypotheses_that_explain_nothing_need_no_order() -> None:
@@ -157,7 +157,7 @@ def test_more_samples_are_not_asked_for_where_they_change_nothing() -> None:
     """A bound that samples cannot tell from the next stays one; a number stays as it is."""
     result = infer(evidence_of_columns(chances(1.0, 0.9985), CELLS), [make_demonstration()])
     assert result.is_lower_bound[5]
-    assert result.verdict(0).endswith("not settled, nor will more samples do it")
+    assert result.verdict(0).endswith("not settled, and more samples will not settle it")
 
 
 def test_exact_answers_are_exact() -> None:

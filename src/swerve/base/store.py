@@ -224,7 +224,7 @@ def _check_version(path: Path, kind: str, version: int, found: int) -> None:
         raise StoreError(
             path,
             f"written in version {found} of kind {kind!r}, this swerve reads {version} "
-            f"and no longer that one",
+            f"and no longer version {found}",
             "make it again, or read it with the swerve that wrote it",
         )
 

@@ -80,7 +80,7 @@ class Constraint(ABC):
         """
         del states, space
         raise ValueError(
-            f"{self.name}: expected a constraint on states with a shape, such as Box, to tell "
+            f"{self.name}: expected a constraint on states with a shape, such as Box, to measure "
             f"distances to, got {type(self).__name__}"
         )
 

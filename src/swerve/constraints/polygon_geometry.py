@@ -273,8 +273,8 @@ def _check_simple(corners: np.ndarray) -> None:
             k = int(meet.argmax())
             raise ValueError(
                 f"Polygon: edge {i}, from {a.tolist()} to {b.tolist()}, meets edge {i + 1 + k}, "
-                f"from {c[k].tolist()} to {d[k].tolist()}: give the vertices in order, so that it "
-                "does not cross itself"
+                f"from {c[k].tolist()} to {d[k].tolist()}: give the vertices in order, so that "
+                "the polygon does not cross itself"
             )
 
 

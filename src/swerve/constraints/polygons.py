@@ -112,7 +112,7 @@ class Polygon(Constraint):
           ValueError: if the polygon has a depth: distances to such a set are not computed.
         """
         if self.depth:
-            raise ValueError(f"{self.name}: expected a Polygon without depth to tell distances to")
+            raise ValueError(f"{self.name}: expected a Polygon without depth to measure distances")
         x, y = self._points(np.asarray(states, float), space)
 
         def outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:

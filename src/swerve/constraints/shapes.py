@@ -100,7 +100,7 @@ class Ball(Constraint):
         return np.maximum(0.0, to_centre - self.radius)
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> Ball:
-        """Return the ball with the largest margin of the named states taken off its radius.
+        """Return the ball with its radius reduced by the largest margin of the named states.
 
         A ball that names angles alone and reaches round all of them has no edge: it stays the same.
         """
@@ -156,8 +156,8 @@ class HalfSpace(Constraint):
         self.normal = {name: factor for name, factor in factors.items() if factor != 0.0}
         if not self.normal:
             raise ValueError(
-                f"HalfSpace: expected a normal that is not zero, got {factors}, which says nothing "
-                "of any state: give at least one of them another factor"
+                f"HalfSpace: expected a normal that is not zero, got {factors}, which restricts "
+                "no state: give at least one state a factor other than 0"
             )
 
     def __repr__(self) -> str:

@@ -79,10 +79,12 @@ def conditional(inference: Ranking, nominal: ExactNominal | None) -> Conditional
             "distribution that it came from"
         )
     if not hasattr(nominal, "answer"):
-        raise ValueError(f"nominal: expected one of an exact solver, got {nominal!r}")
+        raise ValueError(
+            f"nominal: expected the nominal distribution of an exact solver, got {nominal!r}"
+        )
     if nominal.problem.record.fingerprint != evidence.problem.fingerprint:
         raise ValueError(
-            f"nominal: expected that of {evidence.problem.summary}, got one of "
+            f"nominal: expected that of {evidence.problem.summary}, got that of "
             f"{nominal.problem.record.summary}"
         )
     return ExactConditional(inference, nominal)

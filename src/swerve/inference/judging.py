@@ -104,7 +104,7 @@ def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
         if violates(constraint, states, problem.space, between, actions):
             raise ValueError(
                 f"{demonstration.name} enters the known constraint {constraint.name}, which the "
-                "problem says nobody can: correct the demonstration (units, frame) or `known`"
+                "problem says nobody can enter: correct the demonstration (units, frame) or `known`"
             )
 
 

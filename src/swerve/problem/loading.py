@@ -78,8 +78,8 @@ def load_problem(text: str) -> Any:
     path, colon, name = target.rpartition(":")
     if not colon:
         raise ValueError(
-            f"{text!r} is no problem: expected one of {', '.join(SHIPPED)}, a path/to/file.py:name "
-            "or a package.module:name"
+            f"{text!r} names no problem: expected one of {', '.join(SHIPPED)}, a "
+            "path/to/file.py:name or a package.module:name"
         )
     module = _load_file(Path(path)) if path.endswith(".py") else _load_module(path, text)
     if not hasattr(module, name):

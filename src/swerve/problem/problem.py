@@ -122,7 +122,7 @@ def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
             if isinstance(box, ActionBox) and not box.among(mdp.action_names, table).any():
                 raise ValueError(
                     f"hypotheses: {part.name} forbids none of the {len(table)} actions of "
-                    f"{type(mdp).__name__} ({span}), so that nothing would tell it from no "
+                    f"{type(mdp).__name__} ({span}), so that no data could tell it from no "
                     "constraint: widen it, or give the MDP such actions"
                 )
 

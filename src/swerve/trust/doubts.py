@@ -134,8 +134,8 @@ def _jump(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
     return (
         f"jumps by {moved[row, column]:.3g} in {space.names[column]} from row {row + 1} to row "
         f"{row + 2}, in {elapsed[row]:.3g} s, where no nominal trajectory changes it faster than "
-        f"by {fastest[column]:.3g} a second: a glitch of the recording? What lies on the line "
-        "between counts as entered"
+        f"by {fastest[column]:.3g} a second: a glitch of the recording? Hypotheses on "
+        "the straight line between the rows count as entered"
     )
 
 
@@ -148,7 +148,8 @@ def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
         return ""
     return (
         f"has states up to {widest:.3g} s apart, where the model steps every {problem.dt:.3g} s: "
-        "the straight lines between them may cut through what was avoided, and strike it out"
+        "the straight lines between them may cut through a hypothesis that was avoided, and strike "
+        "it out"
     )
 
 
@@ -175,8 +176,8 @@ def _again(inference: Ranking) -> Iterator[str]:
     for names in found.values():
         if len(names) > 1:
             yield (
-                f"{names[0]} is there {len(names)} times (as {some_names(names)}): each counts as "
-                "evidence of its own"
+                f"{names[0]} is given {len(names)} times (as {some_names(names)}): each copy "
+                "counts as a separate demonstration"
             )
 
 
@@ -198,8 +199,8 @@ def _grazed(inference: Ranking) -> Iterator[str]:
         yield (
             f"{len(grazing)} of {len(inference.demonstrations)} demonstrations "
             f"({some_names(grazing)}) enter hypothesis {best} no deeper than the margin, which "
-            "counts as avoiding it, while nominal trajectories are judged without a margin: it "
-            "seems more probable than it is. Take a margin as small as the noise"
+            "counts as avoiding it, while nominal trajectories are judged without a margin: the "
+            "hypothesis seems more probable than it is. Take a margin as small as the noise"
         )
 
 
@@ -220,9 +221,9 @@ def _left_out(inference: Ranking) -> Iterator[str]:
     num = np.count_nonzero(~inference.is_used.any(axis=0))
     if num:
         yield (
-            f"of {num} of the {len(inference.struck_out)} hypotheses these demonstrations tell "
-            "nothing, since each task starts or ends within the clearance of them, or grazes them: "
-            "their probability stays as it was"
+            f"these demonstrations tell nothing about {num} of the {len(inference.struck_out)} "
+            "hypotheses, since each task starts or ends within the clearance of these hypotheses, "
+            "or grazes them: their probability stays as it was"
         )
 
 
@@ -232,8 +233,8 @@ def _impossible(inference: Ranking) -> Iterator[str]:
     if len(found):
         names = some_names([f"hypothesis {index}" for index in found])
         yield (
-            f"{names} struck out: by {inference.evidence.solver} every trajectory of a task "
-            f"enters, so nobody could do that task and obey{_or_coarse(inference)}"
+            f"{names} struck out: according to {inference.evidence.solver}, every trajectory of "
+            f"a task enters, so nobody could do that task and obey{_or_coarse(inference)}"
         )
 
 
@@ -241,15 +242,17 @@ def _or_coarse(inference: Ranking) -> str:
     """Return another possible cause where cells are judged at their centres; '' elsewhere."""
     if not kind_stored(inference.evidence.solver).tabulates:
         return ""
-    return "; or it starts near an edge, and cells are too wide: give it more num_cells"
+    return (
+        "; or the task starts near an edge, and cells are too wide: give the solver more num_cells"
+    )
 
 
 def _tabled(inference: Ranking) -> Iterator[str]:
     """Yield a warning that a table of cells is not the continuous dynamics."""
     if kind_stored(inference.evidence.solver).tabulates:
         yield (
-            "answers are exact for a table of cells, not for the dynamics: how far off they are is "
-            "not known. See whether they change with num_cells and hold"
+            "answers are exact for a table of cells, not for the dynamics: their error is not "
+            "known. See whether the answers change with num_cells and hold"
         )
 
 
@@ -259,6 +262,6 @@ def tolerable(inference: Ranking) -> str:
     if tolerance is None:
         return "; no tolerance makes any of them more probable than no constraint"
     return (
-        f"; with a tolerance of about {tolerance:.2g} or more, some demonstrations ignoring it, "
-        "one would be more probable than no constraint"
+        f"; with a tolerance of about {tolerance:.2g} or more (some demonstrations then ignore "
+        "the constraint), one hypothesis would be more probable than no constraint"
     )

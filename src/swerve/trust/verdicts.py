@@ -79,7 +79,7 @@ def verdict(inference: Ranking, task: int) -> str:
     if needed[0] <= num:
         text += " (the first is)"
     if needed.max() > MOST_SAMPLES:
-        return f"{text}, nor will more samples do it"
+        return f"{text}, and more samples will not settle it"
     return f"{text}: raise --samples to about {_round_up(needed.max()):,}"
 
 
@@ -208,8 +208,9 @@ def _apart(inference: Ranking) -> Iterator[str]:
 def _too_hot(inference: Ranking) -> Iterator[str]:
     if is_too_hot(inference.evidence):
         yield (
-            "errors may be larger than stated: trajectories common at a beta below half of the one "
-            f"sampled for may be missing from the samples. {_remedy(inference.evidence)}"
+            "errors may be larger than stated: beta is below half of the beta sampled for, and "
+            "trajectories that are common at this beta may be missing from the samples. "
+            f"{_remedy(inference.evidence)}"
         )
 
 
@@ -218,9 +219,9 @@ def _far_policy(inference: Ranking) -> Iterator[str]:
     evidence, far = inference.evidence, _is_far(inference)
     if far.any():
         worst = int(np.where(far, evidence.kl, 0.0).argmax())
-        cause = "trajectories that it hardly ever takes may be missing"
+        cause = "trajectories that the policy hardly ever takes may be missing"
         if evidence.method == "plain":
-            cause = "plain weights assume that it is pi_0: use importance weights"
+            cause = "plain weights assume that the policy is pi_0: use importance weights"
         yield (
             f"errors may be larger than stated: for {far.sum()} of "
             f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
@@ -262,7 +263,7 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
         )
     if evidence.method == TEMPERED:
         return (
-            "Tempering has left too few: sample more trajectories, or learn at a beta nearer to "
+            "Tempering has left too few trajectories: sample more, or learn at a beta nearer to "
             f"{evidence.problem.beta:g}"
         )
     if share > GOOD_ESS_SHARE:
@@ -280,9 +281,9 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
         return text + other * (evidence.method == "smc")
     return (
         "The policy is far from pi_0 here: train it longer (num_steps), or use the grid solver "
-        "where the state has at most 3 dimensions. Tasks unlike those of sample_task were never "
-        "trained for. Where rewards are too sharp to be learned, learn for a lower beta and reach "
-        "this one by temperatures between, in Python: swerve.sample(nominal, tasks, "
+        "where the state has at most 3 dimensions. The policy was not trained for tasks unlike "
+        "those of sample_task. Where rewards are too sharp to be learned, learn for a lower beta "
+        "and reach this beta in steps, in Python: swerve.sample(nominal, tasks, "
         f"beta={evidence.problem.beta:g})"
     )
 

@@ -224,9 +224,9 @@ def test_that_a_table_is_not_the_dynamics_is_said() -> None:
     problem = Problem(Line(), [Box(x=(2.9, 3.1)), Box(x=(0.5, 1.5))])
     evidence = sample(learn(problem, Discrete(num_cells=8)), Task([2.3], [0.0]))
     first, second = infer(evidence).warnings
-    assert first.startswith("hypothesis 0 struck out: by Discrete(")
+    assert first.startswith("hypothesis 0 struck out: according to Discrete(")
     assert first.endswith(
-        "or it starts near an edge, and cells are too wide: give it more num_cells"
+        "or the task starts near an edge, and cells are too wide: give the solver more num_cells"
     )
     assert second.startswith("answers are exact for a table of cells, not for the dynamics")
 
