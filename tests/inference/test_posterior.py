@@ -86,7 +86,7 @@ class TestPrior:
             ({"none": 0.5}, r"expected P\(no constraint\), or 5 probabilities"),
             (
                 np.full(5, 0.3),
-                "expected probabilities that sum to 1, got a sum of 1.5: divide them by it",
+                "expected probabilities that sum to 1, got a sum of 1.5: divide each by the sum",
             ),
         ],
     )

@@ -183,7 +183,7 @@ def test_a_bad_state_changes_nothing(state, message: str) -> None:
         (np.nan, "expected seconds since the start of the task, got nan"),
         ("soon", "expected seconds since the start of the task, got 'soon'"),
         (10**400, "expected seconds since the start of the task, got 1000"),
-        (None, "expected one for every state or for none, got None, and the last had a time"),
+        (None, "expected a time for every state or for none, got None, and the last had a time"),
     ],
 )
 def test_a_bad_time_changes_nothing(time, message: str) -> None:

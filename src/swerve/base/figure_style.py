@@ -1,4 +1,4 @@
-"""Give all pictures the same look: colours, a header above the axes, open sides; write them.
+"""Give all pictures the same look: colours, a header above the axes, open sides; write the files.
 
 Only matplotlib's objects are used, never pyplot: no window opens and no global state changes.
 """

@@ -35,7 +35,7 @@ class Constraint(ABC):
 
     @property
     def parts(self) -> tuple[Constraint, ...]:
-        """The constraints that this one consists of: itself, unless it is a union."""
+        """The parts of a union; for other constraints, the constraint itself."""
         return (self,)
 
     @property
@@ -65,7 +65,7 @@ class Constraint(ABC):
         return nowhere(actions.values)
 
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
-        """Return [...] True where an action is forbidden in the state [..., n] where it begins."""
+        """Return [...] True where an action that begins in a state [..., n] is forbidden."""
         del states, space
         return self.forbids(actions)
 
@@ -191,7 +191,7 @@ class Union(Constraint):
         return _any(part.forbids(actions) for part in self._constraints)
 
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
-        """Return [...] True where an action is forbidden by a part in the state where it begins."""
+        """Return [...] True where a part forbids an action that begins in a state [..., n]."""
         return _any(part.forbids_in(states, actions, space) for part in self._constraints)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:

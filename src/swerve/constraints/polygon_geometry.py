@@ -190,7 +190,7 @@ def deepest(vertices: np.ndarray) -> float:
 def clipped(vertices: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Return the part of a polygon [V, 2] within limits [2, 2], (low, high) of x and of y.
 
-    What lies beyond each limit is cut off, one limit after the other (Sutherland and Hodgman).
+    The parts beyond the limits are cut off, one limit after the other (Sutherland and Hodgman).
     Several separate parts are returned as one polygon, joined along the limit.
     """
     for axis, (low, high) in enumerate(limits.tolist()):

@@ -93,9 +93,9 @@ class Polygon(Constraint):
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where the segment meets the polygon.
 
-        The segment can enter or leave only where it cuts one of the lines and circles on which the
-        edge lies. Between two such cuts the segment is all inside or all outside, so its middle is
-        tried.
+        A segment can enter or leave the polygon only where the segment cuts one of the lines and
+        circles on which the edge lies. Between two such cuts the segment is all inside or all
+        outside, so its middle is tried.
         """
         xp = starts.__array_namespace__()
         (x, y), (end_x, end_y) = self._points(starts, space), self._points(ends, space)

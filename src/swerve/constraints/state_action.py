@@ -71,7 +71,7 @@ class StateAction(Constraint):
         return nowhere(starts)
 
     def forbids_in(self, states: Any, actions: Actions, space: StateSpace) -> Any:
-        """Return [...] True where an action is forbidden in the state [..., n] where it begins."""
+        """Return [...] True where an action that begins in a state [..., n] is forbidden."""
         return self.states.contains(states, space) & self.actions.forbids(actions)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:

@@ -28,8 +28,8 @@ from swerve.demonstrations.demonstration import Demonstration
 def checked_states(demonstrations: Sequence[Demonstration], space: StateSpace) -> np.ndarray:
     """Return the states [D, L, n] of checked demonstrations; each rests in its last state.
 
-    All demonstrations are checked together, which is quick. Only if that check fails are they
-    checked one by one, to name the demonstration at fault.
+    All demonstrations are checked together, which is quick. If that check fails, they are checked
+    one by one, to name the demonstration at fault.
 
     Raises:
       ValueError: as from `check_states` and `check_start`.

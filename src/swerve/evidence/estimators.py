@@ -73,7 +73,7 @@ def parts(
       group: [N] each trajectory's group, from 0 to G - 1.
 
     Raises:
-      ValueError: if a log-weight is NaN, or every one is -inf.
+      ValueError: if a log-weight is NaN, or all log-weights are -inf.
     """
     weight = normalise(log_weight)
     members = (group == np.arange(group.max() + 1)[:, None]) * weight
@@ -148,7 +148,7 @@ def normalise(log_weight: np.ndarray) -> np.ndarray:
     """Return weights [N] that sum to 1.
 
     Raises:
-      ValueError: if a log-weight is NaN, or every one is -inf.
+      ValueError: if a log-weight is NaN, or all log-weights are -inf.
     """
     weight = np.exp(log_weight - _largest(log_weight))
     return weight / weight.sum()
@@ -158,7 +158,7 @@ def log_partition(log_weight: np.ndarray) -> float:
     """Return the estimate of log Z_0 [nats] from log-weights [N].
 
     Raises:
-      ValueError: if a log-weight is NaN, or every one is -inf.
+      ValueError: if a log-weight is NaN, or all log-weights are -inf.
     """
     largest = _largest(log_weight)
     return float(largest + np.log(np.mean(np.exp(log_weight - largest))))
@@ -172,7 +172,7 @@ def effective_sample_size(log_weight: np.ndarray, group: np.ndarray | None = Non
       group: [N] each trajectory's group, from 0; the weights of a group are added first.
 
     Raises:
-      ValueError: if a log-weight is NaN, or every one is -inf.
+      ValueError: if a log-weight is NaN, or all log-weights are -inf.
     """
     weight = normalise(log_weight)
     if group is not None:
@@ -191,7 +191,7 @@ def kl_divergence(log_weight: np.ndarray, log_partition: float) -> float:
       log_partition: log Z_0; exact for a measurement, estimated for an alarm.
 
     Raises:
-      ValueError: if a log-weight is NaN, or every one is -inf.
+      ValueError: if a log-weight is NaN, or all log-weights are -inf.
     """
     _largest(log_weight)
     allowed = log_weight[np.isfinite(log_weight)]
@@ -212,7 +212,7 @@ def avoid_probability(
       Estimate with [H] probabilities and variances.
 
     Raises:
-      ValueError: if N differs, a log-weight is NaN, or every one is -inf.
+      ValueError: if N differs, a log-weight is NaN, or all log-weights are -inf.
     """
     if len(log_weight) != len(violations):
         raise ValueError(
@@ -231,7 +231,7 @@ def avoid_probability(
     (entered, entered_square), (avoided, avoided_square) = (
         sums[:, :num_hypotheses] for sums in (entered, avoided)
     )
-    # sum w^2 (1[avoids] - p)^2 over the trajectories that avoid, then over those that enter
+    # sum w^2 (1[avoids] - p)^2 over trajectories that avoid, then over trajectories that enter
     variance = np.maximum(avoided_square, 0.0) * entered**2 + entered_square * avoided**2
     return Estimate(avoided, variance)
 

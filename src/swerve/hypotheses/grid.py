@@ -169,7 +169,7 @@ def grid(**axes: tuple[float, float, int]) -> GridHypotheses:
 
 
 def checked_range(kind: str, name: str, axis: Any, third: str) -> tuple[float, float, float]:
-    """Return low and high of an axis after checking both, and a third number, NaN if it is none.
+    """Return low and high of an axis after checking both, and the third item as a number or NaN.
 
     Raises:
       ValueError: if `axis` has not three items, or low and high are not finite with low < high.

@@ -180,7 +180,7 @@ class Avoiding:
             self._entered = self._sum(self._rows)
 
     def _sum(self, rows: np.ndarray) -> np.ndarray:
-        """Return for each hypothesis [8 B] the weight of those of `rows` that enter it."""
+        """Return the weight [8 B] of the trajectories `rows` that enter each hypothesis."""
         total = np.zeros_like(self._entered)
         for first in range(0, len(rows), ROWS):
             some = rows[first : first + ROWS]

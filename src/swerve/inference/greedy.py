@@ -70,7 +70,7 @@ def greedy(
     odds: float | None = None,
     most: int | None = None,
 ) -> list[Pick]:
-    """Pick constraints one after another, as long as each explains enough.
+    """Pick constraints one after another, as long as each pick explains enough.
 
     Args:
       inference: inference from `infer`; its tolerance, margin, clearance and prior hold for every

@@ -93,7 +93,7 @@ def checked_prior(prior: Prior, num_hypotheses: int) -> np.ndarray:
     if abs(given.sum() - 1.0) > ROUNDING:
         raise ValueError(
             f"prior: expected probabilities that sum to 1, got a sum of {given.sum():.6g}: divide "
-            "them by it"
+            "each by the sum"
         )
     return given / given.sum()
 

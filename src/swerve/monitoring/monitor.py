@@ -296,7 +296,8 @@ class Monitor:
         if self._state and self._is_timed != (time is not None):
             given = "had a time" if self._is_timed else "had none"
             raise ValueError(
-                f"time: expected one for every state or for none, got {time}, and the last {given}"
+                "time: expected a time for every state or for none, got "
+                f"{time}, and the last {given}"
             )
         if time is None:
             return self._time + self._problem.dt if self._state else 0.0

@@ -156,7 +156,7 @@ def _mdp_digest(mdp: MDP) -> str:
 
 
 def _static_fields(module: Any, path: str) -> list[str]:
-    """Return the static fields of a module and of modules inside: JAX has them in no leaf."""
+    """Return the static fields of a module and of modules inside; JAX has no leaves for these."""
     parts = []
     for field in dataclasses.fields(module):
         value, where = getattr(module, field.name), f"{path}.{field.name}"

@@ -27,7 +27,7 @@ NUM_CANDIDATES = 20  # tasks sampled per task asked for: some start in a constra
 def can_begin(
     problem: Problem, state: Float[Array, " n"], goal: Float[Array, " g"]
 ) -> Bool[Array, ""]:
-    """Return whether a state is outside known constraints and does not end the episode at once."""
+    """Return whether an episode can begin in a state: not ended, and outside known constraints."""
     allowed = ~problem.mdp.terminated(state, goal)
     for constraint in problem.known:
         allowed = allowed & ~constraint.contains(state, problem.mdp.space)

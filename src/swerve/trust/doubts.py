@@ -260,7 +260,7 @@ def tolerable(inference: Ranking) -> str:
     """Return a text with the least tolerance that leaves a hypothesis, where all are struck out."""
     tolerance = inference.least_tolerance
     if tolerance is None:
-        return "; no tolerance makes any of them more probable than no constraint"
+        return "; no tolerance makes a hypothesis more probable than no constraint"
     return (
         f"; with a tolerance of about {tolerance:.2g} or more (some demonstrations then ignore "
         "the constraint), one hypothesis would be more probable than no constraint"
