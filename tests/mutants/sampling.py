@@ -56,7 +56,7 @@ MUTANTS = (
     ),
     Mutant(
         "count what was entered before a state for the rest",
-        "sampling/continuations.py",
+        "sampling/labelled_states.py",
         "part = states[:, cut : end + 1]",
         "part = states[:, : end + 1]",
         "monitoring/test_foresight -k every_sequence",

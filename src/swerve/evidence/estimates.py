@@ -25,18 +25,7 @@ from swerve.problem.record import ProblemRecord
 class Estimates:
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
-    Attributes:
-      problem: problem that the estimates are for.
-      tasks: starts [K, n] and goals [K, g].
-      method: "smc", "tempered", "importance", "plain" (the paper's estimates: all weights equal, or
-        at another beta the weights of its Theorem 2), or "exact". With "exact" the numbers have no
-        sampling error, and the trajectories are kept for pictures alone.
-      num_trajectories: N, the trajectories of each task.
-      solver: the solver and its settings, as a text for people.
-      seed: seed of the sampling.
-      summary: the estimates, in small tables.
-      load_samples: function that returns the reduced trajectories, called on first use.
-      sampling_beta: beta for which the trajectories were sampled; the problem's unless given.
+    `swerve.Evidence` describes the fields.
     """
 
     problem: ProblemRecord

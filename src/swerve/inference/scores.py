@@ -31,16 +31,7 @@ SETTLED = 0.09  # nats: largest standard error of a ratio sampled with the const
 class Scores:
     """Measures of how well each hypothesis explains the demonstrations.
 
-    Attributes:
-      evidence: violation probabilities of the hypotheses, task by task.
-      demonstrations: the D demonstrations.
-      task_of: [D] index of each demonstration's task in the evidence.
-      entered: [D, H] True where a demonstration enters a hypothesis.
-      score_name: "likelihood" or "average".
-      is_counted: [K, H] False where a task tells nothing about a hypothesis near its start or goal.
-      tolerance: eps, the probability that a demonstration ignores the constraint.
-      prior: [H + 1] probabilities before the demonstrations, P(no constraint) first.
-      judged: regions that demonstrations must not enter: the hypotheses, less a margin for noise.
+    `swerve.Inference` describes the fields.
     """
 
     evidence: Evidence

@@ -1,7 +1,7 @@
 """Learn how likely each hypothesis is avoided from any state and time on.
 
 The nominal policy continues trajectories from many states. Each state is labelled with the
-hypotheses that the rest of its trajectory enters (see `sampling.continuations`). A network is
+hypotheses that the rest of its trajectory enters (see `sampling.labelled_states`). A network is
 fitted to the labels of all hypotheses at once by weighted logistic regression,
 
     minimise  sum w [- y log P - (1 - y) log(1 - P)],    y = 1[the rest avoids c].
@@ -30,7 +30,7 @@ from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.bits import select, unpack
 from swerve.monitoring.foresight import Ahead, Foresight, Inputs, hidden_sizes
 from swerve.problem.record import ProblemRecord
-from swerve.sampling.continuations import LabelledStates, labelled_states
+from swerve.sampling.labelled_states import LabelledStates, labelled_states
 from swerve.simulation.continuation import continued
 from swerve.solvers.base import Nominal, PolicyNominal
 from swerve.solvers.trained.networks import DenseNetwork
