@@ -221,7 +221,7 @@ def test_a_mode_that_nothing_visits_is_not_seen() -> None:
     """What no diagnostic can tell, and the docs say so."""
     lattice = routes(LatticeRoutes(toll=1.0))
     half = dataclasses.replace(lattice, known=[WALL, lattice.hypotheses.constraint(0)])
-    result = infer(sample(Planted(lattice, half), TASK, 2_000, method="importance"))
+    result = infer(sample(Planted(lattice, half), TASK, 2_000))
     assert "trusted" not in result.verdicts()
 
 
@@ -241,6 +241,6 @@ def test_another_beta_is_named_where_it_is_the_reason() -> None:
     assert hot.verdict(0) == f"errors may be larger than stated: {remedy.format(0.2)}"
     [warning] = [text for text in hot.warnings if "below half" in text]
     assert warning.endswith(f"{why} 0.2: {remedy.format(0.2)}")
-    assert not any("drawn for" in text or "sample at" in text for text in near.warnings)
+    assert not any("sampled for" in text or "sample at" in text for text in near.warnings)
     assert "sampled for beta 0.5" in wording.samples(near.evidence)
     assert "sampled for" not in wording.samples(evidence)

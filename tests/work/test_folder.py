@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -41,10 +42,13 @@ def test_only_results_of_another_problem_are_moved_aside(written: WorkFolder) ->
     found = written.read()
     assert found.record is not None
     [nominal] = written.path.glob("*.nominal")
-    assert written.write(found.record, found.settings, {}, is_current=False) is None
+    moved: list[Path] = []
+    write = partial(written.write, is_current=False, moved=moved.append)
+    write(found.record, found.settings, {})
     assert nominal.exists()
-    other = dataclasses.replace(found.record, beta=9.0)
-    assert written.write(other, found.settings, {}, is_current=False) == written.path / "outdated"
+    assert not moved
+    write(dataclasses.replace(found.record, beta=9.0), found.settings, {})
+    assert moved == [written.path / "outdated"]
     assert not nominal.exists()
     assert (written.path / "outdated" / nominal.name).exists()
 

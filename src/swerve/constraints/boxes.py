@@ -9,7 +9,7 @@ import itertools
 import keyword
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -121,6 +121,20 @@ class Box(Constraint):
         return {"kind": "box", "intervals": _finite_intervals(self.intervals)}
 
 
+class HasActions(Protocol):
+    """The part of an MDP that says what its actions are."""
+
+    @property
+    def action_names(self) -> Sequence[str]:
+        """Names of the m components."""
+        ...
+
+    @property
+    def actions(self) -> Any:
+        """[A, m] the discretised actions."""
+        ...
+
+
 class ActionBox(Constraint):
     """The actions whose named components lie in half-open intervals [low, high).
 
@@ -169,10 +183,10 @@ class ActionBox(Constraint):
             inside = inside & (low <= value) & (value < high)
         return inside
 
-    def among(self, action_names: Sequence[str], actions: Any) -> np.ndarray:
-        """Return [A] True for each row of a table of actions [A, m] that the box forbids."""
-        table = np.asarray(actions, float)
-        return np.asarray(self.forbids(Actions(tuple(action_names), table)))
+    def among(self, mdp: HasActions) -> np.ndarray:
+        """Return [A] True for each of the discretised actions of an MDP that the box forbids."""
+        table = np.asarray(mdp.actions, float)
+        return np.asarray(self.forbids(Actions(tuple(mdp.action_names), table)))
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return [...] infinity: no state is near a box of actions."""

@@ -17,4 +17,9 @@ def hypotheses_from_json(data: dict[str, Any]) -> HypothesisSet:
             return GridHypotheses({name: tuple(axis) for name, axis in data["axes"].items()})
         case "windows":
             return windows(data["overlap"], **data["axes"])
-    return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
+        case "constraints":
+            return ConstraintHypotheses(constraint_from_json(item) for item in data["constraints"])
+    raise ValueError(
+        f"hypotheses: no kind {data['kind']!r} is known here: a newer version of swerve stored it, "
+        "or hypotheses/stored.py lacks a case for it"
+    )

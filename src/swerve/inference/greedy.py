@@ -89,9 +89,8 @@ def greedy(
       The picks, in order. Warnings about the samples are in `inference.warnings`.
 
     Raises:
-      ValueError: if there is no demonstration, the threshold is not a number or is below 0, the
-        odds are not above 0, or the evidence is exact and the nominal distribution that it came
-        from is not given.
+      ValueError: if there is no demonstration, the threshold is no number >= 0, the odds are not
+        above 0, or the evidence is exact and the nominal distribution is not given.
     """
     check_ranking(inference)
     expected = "a number >= 0 (nats a demonstration)"

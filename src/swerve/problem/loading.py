@@ -29,6 +29,7 @@ SHIPPED = {
     "pendulum": "swerve.systems.pendulum:pendulum",
     "gridworld": "swerve.systems.gridworld:gridworld",
 }
+MISSING = "missing"  # in place of the hash of a file that cannot be read
 _SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hash of each module's file
 
 
@@ -127,7 +128,7 @@ def file_hash(path: Path) -> str:
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
-        return "missing"
+        return MISSING
 
 
 def _user_modules() -> dict[str, Path]:

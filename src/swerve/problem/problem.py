@@ -119,7 +119,7 @@ def _check_actions(hypotheses: HypothesisSet, mdp: MDP) -> None:
     for index in range(len(hypotheses)):
         for part in hypotheses.constraint(index).parts:
             box = part.actions if isinstance(part, StateAction) else part
-            if isinstance(box, ActionBox) and not box.among(mdp.action_names, table).any():
+            if isinstance(box, ActionBox) and not box.among(mdp).any():
                 raise ValueError(
                     f"hypotheses: {part.name} forbids none of the {len(table)} actions of "
                     f"{type(mdp).__name__} ({span}), so that no data could tell it from no "

@@ -22,7 +22,7 @@ import numpy as np
 
 from swerve.base.arguments import positive_number, whole_number
 from swerve.base.progress import progress_bar
-from swerve.base.solver_kinds import solver_names
+from swerve.base.solver_kinds import kind_named, solver_names
 from swerve.base.space import Task
 from swerve.evidence.estimators import NothingLeftError
 from swerve.evidence.evidence import Evidence
@@ -115,7 +115,8 @@ def sample_each(
         yield from _answer_each(nominal, tasks, method, seed, progress)
     elif isinstance(nominal, PolicyNominal):
         if method is None:
-            method = nominal.solver.kind.default_method
+            has_value = kind_named(nominal.solver.name).has_soft_value
+            method = "smc" if has_value else "importance"
         if method not in METHODS and beta is None:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         record = nominal.problem.record

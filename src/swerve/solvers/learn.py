@@ -68,7 +68,7 @@ def learn(
     if not isinstance(chosen, Solver):
         raise ValueError(
             "solver: expected a name such as 'grid', or an object such as swerve.PPO(), got "
-            f"{chosen!r}"
+            f"{chosen!r}: a solver of your own inherits from swerve.solvers.base.Solver"
         )
     seed = whole_number(seed, "seed", 0)
     path = Path(checkpoint) if checkpoint is not None else None

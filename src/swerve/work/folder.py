@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -30,8 +31,9 @@ from swerve.base import files, store
 from swerve.base.space import Task
 from swerve.base.version import VERSION
 from swerve.evidence.evidence import Evidence
-from swerve.problem.loading import canonical_problem, file_hash
+from swerve.problem.loading import MISSING, canonical_problem, file_hash
 from swerve.problem.record import ProblemRecord
+from swerve.work.moved_sources import AS_MOVED
 from swerve.work.settings import Settings
 
 RECORD = "problem.json"
@@ -39,7 +41,6 @@ RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training
 SAMPLED = ("evidence", "foresight")  # results that depend on the method and on N too
 OUTDATED = "outdated"  # folder of the results of an older version of the problem
 FORMAT = 3  # of problem.json; increase it when its fields change
-FLAT_MDP = ("swerve", "mdp.py")  # end of the path of `problem.mdp` before Swerve had packages
 
 
 class State(Enum):
@@ -163,7 +164,11 @@ class WorkFolder:
                 "name another --work folder"
             )
         settings = Settings.from_json(stored["settings"])
-        changes = [f"{source} has changed" for source in _changed(stored["sources"])]
+        changes = [
+            f"{source} has changed"
+            for source, old in stored["sources"].items()
+            if _has_changed(source, old)
+        ]
         if stored["swerve"] != VERSION:
             changes.append(f"swerve was {stored['swerve']} and is {VERSION}")
         if changes:
@@ -177,7 +182,8 @@ class WorkFolder:
         sources: dict[str, str],
         *,
         is_current: bool,
-    ) -> Path | None:
+        moved: Callable[[Path], None],
+    ) -> None:
         """Write the record, after moving outdated results aside.
 
         Args:
@@ -186,9 +192,8 @@ class WorkFolder:
           sources: hash of each source file that made the problem.
           is_current: whether the results are known to be of this problem. If not, the record is
             read again, since another process may have written one for this problem.
-
-        Returns:
-          The folder that outdated results are in now, or None if none were moved.
+          moved: called, before the record is written, with the folder that outdated results are in
+            now, if there were any.
 
         Raises:
           ValueError: if there are results but no record: they may be somebody else's.
@@ -196,6 +201,8 @@ class WorkFolder:
         """
         with files.locked(self.path):
             aside = None if is_current or self._is_of(record) else self._move_aside()
+            if aside is not None:
+                moved(aside)
             data = {
                 "format": FORMAT,
                 "problem": canonical_problem(self.problem_text),
@@ -205,7 +212,6 @@ class WorkFolder:
                 "swerve": VERSION,
             }
             store.write_json(self.path / RECORD, data)
-        return aside
 
     def _is_of(self, record: ProblemRecord) -> bool:
         """Return whether the folder's record, read now, is current and of this problem."""
@@ -238,16 +244,10 @@ def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
     ]
 
 
-def _changed(sources: dict[str, str]) -> list[str]:
-    """Return the paths of source files that differ from their recorded hashes.
+def _has_changed(source: str, old: str) -> bool:
+    """Return whether a source file differs from its recorded hash by more than the move.
 
-    An editable installation records Swerve's own modules too. These modules are left out if the
-    record is older than their move into packages, since the move changed no result.
+    The move into packages took `mdp.py` away, so that a file of this hash may be missing.
     """
-    paths = [Path(source) for source in sources]
-    flat = {path.parent for path in paths if path.parts[-2:] == FLAT_MDP and not path.exists()}
-    return [
-        str(path)
-        for path, old in zip(paths, sources.values(), strict=True)
-        if file_hash(path) != old and not flat & set(path.parents)
-    ]
+    now = file_hash(Path(source))
+    return now != old and not (old in AS_MOVED and now in (AS_MOVED[old], MISSING))

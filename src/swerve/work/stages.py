@@ -12,6 +12,7 @@ Which results in the folder may be used depends on the stage:
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from swerve.base import files
@@ -125,9 +126,11 @@ class ProblemInFolder:
         problem, record, is_recorded = self.load()
         is_current = self._is_prepared or is_recorded
         sources = source_hashes(problem)
-        aside = self._folder.write(record, settings, sources, is_current=is_current)
-        if aside is not None:
-            self._say(f"moved the old results of {self._folder.path} to {aside}")
+        self._folder.write(record, settings, sources, is_current=is_current, moved=self._say_moved)
+
+    def _say_moved(self, aside: Path) -> None:
+        assert self._folder is not None
+        self._say(f"moved the old results of {self._folder.path} to {aside}")
 
     def _say_outdated(self, changes: str) -> None:
         self._say_of_folder(f"is out of date ({changes}): working it out anew")
