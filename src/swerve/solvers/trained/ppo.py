@@ -193,7 +193,7 @@ class PPOTrainer(Trainer):
     def soft_rewards(self, segment: Segment) -> Float[Array, "L N"]:
         """Return beta r - log pi of each step (the paper, eq. 6, times beta), nats.
 
-        The log of the base measure is added: -log A for the uniform measure.
+        The uniform measure takes log A off each step; the counting measure takes nothing.
         """
         forbidden = jnp.isneginf(segment.reward)
         earned = jnp.where(forbidden, -KNOWN_PENALTY, self.problem.beta * segment.reward)
