@@ -1,7 +1,7 @@
 """Hold evidence: what samples of the nominal distribution tell about each hypothesis, by task.
 
 Inference needs evidence alone. Evidence keeps N trajectories a task as numbers and bits. Small
-tables sum up the trajectories, and are read without them (see `estimates`).
+tables sum up the trajectories, and are read without them (see `quantities`).
 
 Shapes: K tasks, N trajectories, H hypotheses, n states, g goal dimensions.
 """
@@ -21,7 +21,7 @@ from swerve.base import store
 from swerve.base.arguments import positive_number
 from swerve.base.space import Task
 from swerve.evidence import matching
-from swerve.evidence.estimates import Estimates
+from swerve.evidence.quantities import Quantities
 from swerve.evidence.samples import REWEIGHED, Samples, Summary, summarise
 from swerve.problem.record import ProblemRecord
 
@@ -31,7 +31,7 @@ Fields = TypeVar("Fields", bound=tuple)
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence(Estimates):
+class Evidence(Quantities):
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     Attributes:

@@ -22,7 +22,7 @@ from swerve.problem.record import ProblemRecord
 
 
 @dataclass(frozen=True, eq=False)
-class Estimates:
+class Quantities:
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     `swerve.Evidence` describes the fields.
