@@ -141,7 +141,7 @@ class TestFew:
         assert result.log_likelihood[RARE] == pytest.approx(-math.log(3.0 * evidence.resolution[0]))
         assert not result.is_open.any()
         (warning,) = [text for text in result.warnings if "did not settle" in text]
-        assert warning.startswith(f"the score of hypothesis {RARE} hangs on the two or three")
+        assert warning.startswith(f"the score of hypothesis {RARE} rests on the two or three")
 
     def test_four_are_enough(self, evidence: Evidence, made: list[Demonstration]) -> None:
         assert not infer(with_few_that_avoid(evidence, 4.01), made).is_open[0, RARE]
@@ -245,7 +245,7 @@ def test_a_bound_remains_where_nothing_avoids_it() -> None:
     assert resolved.log_ratio[0, 0] == evidence.log_ratio[0, 0]
     assert not infer(resolved).is_open.any()  # tried once is enough
     assert not any("did not settle" in text for text in infer(evidence).warnings)
-    in_vain = r"Working out what it takes to avoid it did not settle: .* more num_points"
+    in_vain = r"Sampling with the hypothesis in force did not settle it: .* more num_points"
     assert any(re.search(in_vain, text) for text in infer(resolved).warnings)
 
 

@@ -323,6 +323,6 @@ def _in_vain(evidence: Evidence) -> str:
     finer = kind_stored(evidence.solver).finer
     more = f"give the solver more {finer}, " if finer else ""
     return (
-        ". Sampling with it in force did not settle the score: sample more trajectories, "
+        ". Sampling with the hypothesis in force did not settle it: sample more trajectories, "
         f"{more}or see whether anything the robot can do avoids it"
     )
