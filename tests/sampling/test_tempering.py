@@ -83,14 +83,14 @@ def test_verdict_says_what_is_left() -> None:
     result = infer(evidence)
     assert "effective sample size" in result.verdict(0)
     [said] = [text for text in result.warnings if "effective sample size" in text]
-    assert said.endswith("sample more trajectories, or learn at a beta nearer to 500")
+    assert said.endswith("sample more, or learn at a beta nearer to 500")
 
 
 def test_what_cannot_be_done_is_said() -> None:
     problem, task = PROBLEMS["pendulum"]
     with pytest.raises(ValueError, match="beta: expected a finite number > 0, got -1"):
         sample(Guessed(problem), task, 100, beta=-1.0)
-    with pytest.raises(ValueError, match="reached by 'tempered', so leave 'plain' out"):
+    with pytest.raises(ValueError, match="is the only one for a beta that was not learned, so leave 'plain' out"):
         sample(Guessed(problem), task, 100, beta=1.0, method="plain")
     with pytest.raises(ValueError, match="expected one of smc, importance, plain, got 'tempered'"):
         sample(Guessed(problem), task, 100, method="tempered")
