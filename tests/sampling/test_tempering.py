@@ -90,7 +90,9 @@ def test_what_cannot_be_done_is_said() -> None:
     problem, task = PROBLEMS["pendulum"]
     with pytest.raises(ValueError, match="beta: expected a finite number > 0, got -1"):
         sample(Guessed(problem), task, 100, beta=-1.0)
-    with pytest.raises(ValueError, match="is the only one for a beta that was not learned, so leave 'plain' out"):
+    with pytest.raises(
+        ValueError, match="is the only one for a beta that was not learned, so leave 'plain' out"
+    ):
         sample(Guessed(problem), task, 100, beta=1.0, method="plain")
     with pytest.raises(ValueError, match="expected one of smc, importance, plain, got 'tempered'"):
         sample(Guessed(problem), task, 100, method="tempered")
