@@ -18,8 +18,28 @@ from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.bits import unpack
 from swerve.hypotheses.grid import grid
+from swerve.hypotheses.windows import windows
 
 seeds = st.integers(0, 2**32 - 1)
+CELLS = grid(theta=(0.0, TWO_PI, 5), omega=(-4.0, 4.0, 4))
+SETS = {
+    "grid": CELLS,
+    "line": grid(omega=(-4.0, 4.0, 8)),
+    "windows": windows(2, theta=(0.0, TWO_PI, 1.0), omega=(-4.0, 4.0, 2.0)),
+    "list": as_list(CELLS),
+}
+
+
+@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 3), (2,), ()], ids=str)
+def test_distances_keep_the_shape_of_a_batch(name: str, shape: tuple[int, ...]) -> None:
+    """Also of no states: options are checked against the hypotheses before there are any."""
+    made = SETS[name]
+    states = np.random.default_rng(0).uniform(-4.0, 4.0, (*shape, 2))
+    found = made.distance(states, PENDULUM)
+    assert found.shape == (*shape, len(made))
+    each = [made.constraint(index).distance(states, PENDULUM) for index in range(len(made))]
+    np.testing.assert_allclose(found, np.stack(each, axis=-1), atol=1e-9)
 
 
 class TestLists:

@@ -65,7 +65,8 @@ class BoxHypotheses(HypothesisSet):
         for name, (low, high) in self.edges().items():
             values = states[..., space.column(name), None]
             along = interval_distance(values, low, high, name in space.angles) ** 2
-            square = (square[..., None] + along[..., None, :]).reshape(*states.shape[:-1], -1)
+            square = square[..., None] + along[..., None, :]
+            square = square.reshape(*states.shape[:-1], math.prod(square.shape[-2:]))
         return np.sqrt(square)
 
 
