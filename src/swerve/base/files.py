@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -32,6 +33,33 @@ def write_bytes(path: AnyPath, content: bytes) -> None:
       OSError: if the folder cannot be written; a file that existed there is still there.
     """
     replace(Path(path), lambda file: file.write(content))
+
+
+def open_regular(path: AnyPath, most: int) -> BinaryIO:
+    """Open a file that others may have made, to read it.
+
+    A pipe or a device would be waited for, or read without an end: such files are refused.
+
+    Args:
+      path: a regular file, or a link to one.
+      most: number of bytes that the file may have.
+
+    Raises:
+      OSError: if the file does not exist, or is no regular file.
+      ValueError: if the file has more bytes.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device"
+            raise OSError(f"{path}: expected a regular file, got {kind}")
+        if found.st_size > most:
+            raise ValueError(f"{path}: {found.st_size:,} bytes, expected at most {most:,}")
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return os.fdopen(descriptor, "rb")
 
 
 @contextlib.contextmanager
