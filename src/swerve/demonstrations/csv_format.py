@@ -1,89 +1,167 @@
-"""Read and write CSV; errors name the cell at fault."""
+"""Read and write CSV; errors name the cell at fault.
+
+A cell of numbers holds one number in decimal digits (`base.decimals`), with spaces or tabs around
+it, or one of the words nan and inf, which the checks of the values refuse by row and column.
+
+A file is read in parts, so that it takes little more memory than its numbers. NumPy reads a part
+whose rows are all plain: as many cells as the header, and no quotes. From the first other row on,
+cells are read one by one.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+import itertools
+import re
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from swerve.demonstrations.tables import Table, select_columns
+from swerve.base.decimals import DECIMAL, decimal_number
+from swerve.base.files import open_regular
+from swerve.demonstrations.tables import MAX_BYTES, Table, select_columns
+
+PART = 2**18  # characters that NumPy reads at a time; more are no faster
+BLANKS = " \t"  # characters that may stand around a number
+NO_NUMBER = re.compile(r"nan|[+-]?inf(inity)?", re.IGNORECASE)
 
 
 def read_csv(
     path: Path, required: Sequence[str], optional: Sequence[str], label: str | None
 ) -> Table:
     """Read columns of a CSV file; see `formats.read_table`."""
+    with open_regular(path, MAX_BYTES) as file:
+        data = file.read(MAX_BYTES)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        return _read(path, data, required, optional, label)
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from error
-    _, header = next(_csv_rows(path, text), (0, None))
+        at = _first_error(data)
+        raise ValueError(f"{path}: not UTF-8 text ({at}); save it as CSV in UTF-8") from error
+
+
+def _read(
+    path: Path, data: bytes, required: Sequence[str], optional: Sequence[str], label: str | None
+) -> Table:
+    text = _lines(data)
+    line, header = next(_csv_rows(path, text), (0, None))
     if header is None:
         raise ValueError(f"{path}: the file is empty; expected a header and rows of numbers")
     found = [cell.strip() for cell in header]
     names = select_columns(path, found, required, optional, label)
-    values, labels = None, []
+    values, labels, part = array("d"), [], ""
     if label is None:
-        values = _parse_fast(text, [found.index(name) for name in names])
-    if values is None:
-        values, labels = _parse_cells(path, text, found, names, label, optional)
-    return Table(names, values, labels, lambda row: list(_csv_rows(path, text))[row + 1][0])
+        columns, plain = [found.index(name) for name in names], _plain_rows(found, names)
+        while (part := text.read(PART)) and plain.fullmatch(part := part + text.readline()):
+            lines = io.StringIO(part)
+            numbers = np.loadtxt(lines, delimiter=",", usecols=columns, comments=None, ndmin=2)
+            if not np.isfinite(numbers).all():
+                break  # a number is too large: its cell is named below
+            values.frombytes(numbers.tobytes())
+            line += part.count("\n")
+    rest = _csv_rows(path, itertools.chain(io.StringIO(part), text), line)
+    _parse_cells(path, rest, found, names, label, optional, values, labels)
+    table = np.frombuffer(values).reshape(-1, len(names))
+    return Table(names, table, labels, lambda row: _line_of(path, data, row))
 
 
-def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the cells of every row that is not blank, the header first."""
-    reader = csv.reader(io.StringIO(text))
+def _lines(data: bytes) -> io.TextIOWrapper:
+    """Return the text of a file; its lines may end in CR, LF or both."""
+    return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig")
+
+
+def _csv_rows(path: Path, lines: Iterable[str], line: int = 0) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line number and the cells of every row that is not blank, the header first.
+
+    Args:
+      path: the file, for messages.
+      lines: lines of the file.
+      line: number of lines before these.
+    """
+    reader = csv.reader(lines)
     try:
         for cells in reader:
             if len(cells) > 1 or "".join(cells).strip():
-                yield reader.line_num, cells
+                yield line + reader.line_num, cells
     except csv.Error as error:
-        raise ValueError(f"{path}: line {reader.line_num}: {error}; is a quote open?") from error
+        at = line + reader.line_num
+        raise ValueError(f"{path}: line {at}: {error}; is a quote open?") from error
 
 
-def _parse_fast(text: str, indices: list[int]) -> np.ndarray | None:
-    """Return the columns as numbers; None if the cells must be read one by one."""
-    header, *rows = text.rstrip().split("\n")
-    if '"' in text or {row.count(",") for row in rows} != {header.count(",")}:
-        return None  # cells are quoted or empty, or rows differ in length
-    try:
-        return np.loadtxt(rows, delimiter=",", usecols=indices, comments=None, ndmin=2)
-    except ValueError:
-        return None
+def _line_of(path: Path, data: bytes, row: int) -> int:
+    """Return the line of a row, counted from 0."""
+    rows = _csv_rows(path, _lines(data))
+    return next(itertools.islice(rows, row + 1, None))[0]
+
+
+def _plain_rows(found: list[str], names: list[str]) -> re.Pattern[str]:
+    """Return what matches rows with a number in each column of `names`, and no quotes."""
+    number = f"[{BLANKS}]*+{DECIMAL}[{BLANKS}]*+"
+    row = ",".join(number if name in names else r'[^,"\n]*+' for name in found)
+    return re.compile(rf"{row}(?:\n{row})*+\n?")
 
 
 def _parse_cells(
     path: Path,
-    text: str,
+    rows: Iterable[tuple[int, list[str]]],
     found: list[str],
     names: list[str],
     label: str | None,
     optional: Sequence[str],
-) -> tuple[np.ndarray, list[str]]:
-    """Return numbers and labels; raise ValueError naming the first cell that is not a number.
+    values: array[float],
+    labels: list[str],
+) -> None:
+    """Append the numbers and labels of rows; raise ValueError naming the first cell at fault.
 
     In the last row optional columns may be blank: no action follows the last state.
+
+    Args:
+      path: the file, for messages.
+      rows: the line number and the cells of each row.
+      found: names of the file's columns.
+      names: columns of numbers.
+      label: column of labels, or None.
+      optional: columns of numbers that may be blank in the last row.
+      values: numbers of the rows before these; extended.
+      labels: labels; extended.
     """
-    rows = list(_csv_rows(path, text))[1:]
-    values, labels = np.empty((len(rows), len(names))), []
-    for row, (line, cells) in enumerate(rows):
-        at = f"{path}: row {row + 1} (line {line})"
+    blank: str | None = None  # the error of a blank cell, unless no further row comes
+    for number, (line, cells) in enumerate(rows, len(values) // len(names) + 1):
+        if blank is not None:
+            raise ValueError(blank)
+        at = f"{path}: row {number} (line {line})"
         if len(cells) != len(found):
             raise ValueError(f"{at}: expected {len(found)} cells as the header, got {len(cells)}")
         if label is not None:
             labels.append(cells[found.index(label)].strip())
-        for column, name in enumerate(names):
-            cell = cells[found.index(name)]
-            if name in optional and row == len(rows) - 1 and not cell.strip():
-                cell = "nan"
-            try:
-                values[row, column] = float(cell)
-            except ValueError:
-                raise ValueError(f"{at}, column {name}: expected a number, got {cell!r}") from None
-    return values, labels
+        for name in names:
+            cell = cells[found.index(name)].strip(BLANKS)
+            problem = f"{at}, column {name}: expected a number, got {cell!r}"
+            if not cell and name in optional:
+                blank = blank or problem
+            values.append(_number(cell or "nan" if name in optional else cell, problem))
+
+
+def _number(cell: str, problem: str) -> float:
+    """Return the number in a cell, which may be NaN or infinite."""
+    if NO_NUMBER.fullmatch(cell):
+        return float(cell)
+    try:
+        return decimal_number(cell)
+    except ValueError:
+        raise ValueError(problem) from None
+
+
+def _first_error(data: bytes) -> str:
+    """Return where data stops being UTF-8 text, and why."""
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        return f"line {line}: {error.reason}"
+    return ""
 
 
 def csv_text(rows: list[list[str]]) -> str:

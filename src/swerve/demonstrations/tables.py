@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+MAX_BYTES = 2**30  # bytes of a file of demonstrations or tasks: larger files are refused unread
+
 
 class Table(NamedTuple):
     """Some columns of a file.
