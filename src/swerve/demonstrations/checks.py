@@ -29,6 +29,12 @@ JITTER = 0.01  # share of the extent: two measurements of the same state may dif
 TIME_SLACK = 0.1  # share of the duration: demonstrators may be so much quicker or slower
 COARSE = 1.5  # model steps between two states: with wider gaps, lines between them cut corners
 
+# Limits beyond which the motion of a demonstration is impossible by the dynamics.
+STRENGTH = 10.0  # times the model's strongest action: people act so much more strongly at most
+RELATIVE = 0.3  # share of a motion: no model is more accurate
+LEAST_MOTION = 0.03  # share of the extent: noise may hide in smaller motions
+IMPOSSIBLE_SHARE = 0.25  # share of the motion in one state: walls of the model explain less
+
 RowNamer = Callable[[int], str]
 
 

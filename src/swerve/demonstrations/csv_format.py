@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from swerve.base.decimals import DECIMAL, decimal_number
-from swerve.base.files import open_regular
-from swerve.demonstrations.tables import MAX_BYTES, Table, select_columns
+from swerve.base.decimals import decimal_number
+from swerve.demonstrations.tables import Table, file_content, select_columns
 
 PART = 2**18  # characters that NumPy reads at a time; more are no faster
 BLANKS = " \t"  # characters that may stand around a number
@@ -33,8 +32,7 @@ def read_csv(
     path: Path, required: Sequence[str], optional: Sequence[str], label: str | None
 ) -> Table:
     """Read columns of a CSV file; see `formats.read_table`."""
-    with open_regular(path, MAX_BYTES) as file:
-        data = file.read(MAX_BYTES)
+    data = file_content(path)
     try:
         return _read(path, data, required, optional, label)
     except UnicodeDecodeError as error:
@@ -55,12 +53,12 @@ def _read(
     if label is None:
         columns, plain = [found.index(name) for name in names], _plain_rows(found, names)
         while (part := text.read(PART)) and plain.fullmatch(part := part + text.readline()):
-            lines = io.StringIO(part)
-            numbers = np.loadtxt(lines, delimiter=",", usecols=columns, comments=None, ndmin=2)
-            if not np.isfinite(numbers).all():
-                break  # a number is too large: its cell is named below
+            numbers = _parse_plain(part, columns)
+            if numbers is None:
+                break
             values.frombytes(numbers.tobytes())
             line += part.count("\n")
+            part = ""
     rest = _csv_rows(path, itertools.chain(io.StringIO(part), text), line)
     _parse_cells(path, rest, found, names, label, optional, values, labels)
     table = np.frombuffer(values).reshape(-1, len(names))
@@ -97,10 +95,19 @@ def _line_of(path: Path, data: bytes, row: int) -> int:
 
 
 def _plain_rows(found: list[str], names: list[str]) -> re.Pattern[str]:
-    """Return what matches rows with a number in each column of `names`, and no quotes."""
-    number = f"[{BLANKS}]*+{DECIMAL}[{BLANKS}]*+"
-    row = ",".join(number if name in names else r'[^,"\n]*+' for name in found)
+    """Return what matches rows with characters of numbers in the columns `names`, and no quotes."""
+    row = ",".join(rf"[-+.0-9eE{BLANKS}]++" if name in names else r'[^,"\n]*+' for name in found)
     return re.compile(rf"{row}(?:\n{row})*+\n?")
+
+
+def _parse_plain(part: str, columns: list[int]) -> np.ndarray | None:
+    """Return columns of plain rows; None where the characters of a cell are no finite number."""
+    lines = io.StringIO(part)
+    try:
+        numbers = np.loadtxt(lines, delimiter=",", usecols=columns, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return numbers if np.isfinite(numbers).all() else None
 
 
 def _parse_cells(

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swerve.base.files import AnyPath, write_text
+from swerve.base.files import AnyPath, whole_folder, write_text
 from swerve.base.space import StateSpace, Task
 from swerve.demonstrations.checks import (
     check_bounds,
@@ -204,7 +204,7 @@ def write_demonstrations(
 
     Numbers have 9 significant digits, and times have all digits: with 9 digits, seconds since 1970
     would not increase. Where there is one action fewer than states, the last row has action 0. A
-    file is written complete or not at all.
+    file is written complete or not at all, and so is a folder that did not exist.
 
     Args:
       directory: folder of the files; created if need be.
@@ -228,8 +228,11 @@ def write_demonstrations(
     for path, item in zip(paths, demonstrations, strict=True):
         check_states(item.states, item.times, space, item.name)
         texts[path] = _trajectory_text(item, space, action_names)
-    for path, text in texts.items():
-        write_text(path, text)
+    directory = Path(directory)
+    place = nullcontext(directory) if directory.exists() else whole_folder(directory)
+    with place as folder:
+        for path, text in texts.items():
+            write_text(folder / path.name, text)
     return paths
 
 

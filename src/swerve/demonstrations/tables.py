@@ -6,12 +6,15 @@ and the column of labels, and returns a `Table`; see `formats`.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from swerve.base.files import open_regular
 
 MAX_BYTES = 2**30  # bytes of a file of demonstrations or tasks: larger files are refused unread
 
@@ -55,3 +58,20 @@ def select_columns(
     if twice:
         raise ValueError(f"{path}: more than one column is named {', '.join(twice)}; rename them")
     return [name for name in dict.fromkeys((*required, *optional)) if name in found]
+
+
+def file_content(path: Path) -> bytes:
+    """Return the content of a file that others may have made.
+
+    Raises:
+      OSError: if the file does not exist, or is a pipe or a device.
+      ValueError: if the file is larger than MAX_BYTES.
+    """
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > MAX_BYTES:
+            raise ValueError(
+                f"{path}: expected at most {MAX_BYTES:,} bytes, got {size:,}; split the file, or "
+                "leave out columns"
+            )
+        return file.read(size)
