@@ -56,6 +56,15 @@ def plural(noun: str) -> str:
     return f"{noun[:-2]}es" if noun.endswith("is") else f"{noun}s"
 
 
+def duration(seconds: float) -> str:
+    """Return a length of time in one unit: '45 s', '12 min' or '3.5 h'."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    if seconds < 99.5 * 60.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
 def cut(text: str, length: int) -> str:
     """Return text on one line of at most `length` characters."""
     text = " ".join(text.split())

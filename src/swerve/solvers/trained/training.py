@@ -53,8 +53,8 @@ class TrainingSolver(TrainingSettings, Solver["TrainedNominal"]):
     def train(self, trainer: Trainer, problem: Problem, options: LearnOptions) -> TrainedNominal:
         """Train by a trainer of this solver, or go on from a checkpoint, as `learn` does."""
         tasks, seed, progress, checkpoint = options
-        run = Run(self, trainer, problem, tasks, seed, checkpoint)
         with progress_bar("training", self.num_chunks * self.chunk_steps, progress) as advance:
+            run = Run(self, trainer, problem, tasks, seed, checkpoint)
             advance(run.num_done * self.chunk_steps)
             done, before = run.num_done, run.history[-1].seconds if run.history else 0.0
             while (now := run.advance()) is not None:
