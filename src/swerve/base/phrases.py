@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
+import unicodedata
 from collections.abc import Sequence
 
 LEAST_PERCENT = 5e-4  # probability: smaller values are written as powers of ten, not in per cent
@@ -63,6 +64,22 @@ def duration(seconds: float) -> str:
     if seconds < 99.5 * 60.0:
         return f"{seconds / 60.0:.0f} min"
     return f"{seconds / 3600.0:.1f} h"
+
+
+def shown(text: str) -> str:
+    r"""Return a text from outside as it may be printed: without control characters.
+
+    Each character that a terminal would obey, that changes the direction or the order of what
+    follows, or that cannot be seen, becomes its escape sequence, such as \x1b; so do line breaks.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        letter
+        if letter.isprintable() or unicodedata.category(letter) == "Zs"
+        else ascii(letter)[1:-1]
+        for letter in text
+    )
 
 
 def cut(text: str, length: int) -> str:

@@ -1,31 +1,132 @@
-"""Read Parquet with polars, which is imported when a file is read."""
+"""Read Parquet with polars, in a process of its own.
+
+A damaged file can end the process that decodes it: polars aborts where it cannot get the memory
+that such a file asks for. So the process is another one, with limits of time and memory
+(`parquet_child`). It starts with the first Parquet file (0.3 s), reads all further files, and ends
+with this process. It gets the content of a file, never its path: polars takes a path for a pattern
+or an address.
+"""
 
 from __future__ import annotations
 
+import atexit
+import json
+import os
+import subprocess
+import sys
+import threading
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from swerve.demonstrations.tables import Table, select_columns
+import numpy as np
+
+from swerve.base.phrases import cut, shown
+from swerve.demonstrations.tables import Table, file_content, select_columns
+
+CHILD = Path(__file__).with_name("parquet_child.py")
+MAX_REASON = 200  # characters of polars' reason in a message
+
+_lock = threading.Lock()
+_running: list[tuple[int, subprocess.Popen[bytes]]] = []  # this process's id, and its child
 
 
 def read_parquet(
     path: Path, required: Sequence[str], optional: Sequence[str], label: str | None
 ) -> Table:
     """Read columns of a Parquet file; see `formats.read_table`."""
-    import polars as pl  # takes longer to load than all other modules together
+    answer, numbers = _decoded(path, [*required, *optional], label)
+    found, types, nulls = answer["found"], answer["types"], answer["nulls"]
+    names = select_columns(path, found, required, optional, label)
+    for name in types:
+        expected = "texts" if name == label else "numbers"
+        raise ValueError(f"{path}: column {name}: expected {expected}, got {types[name]} values")
+    for name, row in nulls.items():
+        if name not in optional:
+            expected = "text" if name == label else "number"
+            raise ValueError(
+                f"{path}: row {row + 1}, column {name}: expected a {expected}, got null"
+            )
+    return Table(names, numbers, answer["labels"], None)
 
+
+def _decoded(path: Path, names: list[str], label: str | None) -> tuple[Any, np.ndarray]:
+    """Return the child's answer and the numbers [rows, names].
+
+    Raises:
+      ValueError: if the file cannot be decoded.
+    """
+    content = file_content(path)
+    request = json.dumps({"size": len(content), "numbers": names, "label": label}).encode()
+    with _lock:
+        is_fresh = not _held()
+        try:
+            reply = _ask(request, content)
+            if reply is None and not is_fresh:  # perhaps an earlier file, or a fork, did it
+                reply = _ask(request, content)
+        except BaseException:
+            _end()  # an answer that nobody waits for would be taken for the next one
+            raise
+    if reply is None:
+        raise ValueError(f"{path}: cannot be read as Parquet: damaged, or it needs too much memory")
+    answer, columns = reply
+    if "error" in answer:
+        reason = cut(shown(answer["error"]), MAX_REASON)
+        raise ValueError(f"{path}: cannot be read as Parquet: {reason}")
+    return answer, np.ascontiguousarray(columns.T)
+
+
+def _ask(request: bytes, content: bytes) -> tuple[Any, np.ndarray] | None:
+    """Return the child's answer and columns [names, rows]; None if the child has ended."""
+    child = _held() or _start()
+    assert child.stdin is not None
+    assert child.stdout is not None
     try:
-        schema = pl.read_parquet_schema(path)
-        names = select_columns(path, list(schema), required, optional, label)
-        frame = pl.read_parquet(path, columns=names if label is None else [label, *names])
-    except pl.exceptions.PolarsError as error:
-        raise ValueError(f"{path}: cannot be read as Parquet: {error}") from error
-    for name in names:
-        if not schema[name].is_numeric():
-            raise ValueError(f"{path}: column {name}: expected numbers, got {schema[name]} values")
-        if name in required and frame[name].null_count():
-            row = frame[name].is_null().arg_true()[0]
-            raise ValueError(f"{path}: row {row + 1}, column {name}: expected a number, got null")
-    numbers = frame.select(pl.col(names).cast(pl.Float64).fill_null(float("nan")))
-    labels = [] if label is None else frame[label].cast(pl.String).to_list()
-    return Table(names, numbers.to_numpy(), labels, None)
+        for part in (request, b"\n", content):
+            child.stdin.write(part)
+        child.stdin.flush()
+        line = child.stdout.readline()
+        answer = json.loads(line)
+        shape = (0, 0) if "error" in answer else (len(answer["names"]), answer["rows"])
+        numbers = child.stdout.read(8 * shape[0] * shape[1])
+        return answer, np.frombuffer(numbers).reshape(shape)
+    except (BrokenPipeError, ValueError):
+        _end()
+        return None
+
+
+def _held() -> subprocess.Popen[bytes] | None:
+    """Return this process's child; None if there is none."""
+    return next((child for owner, child in _running if owner == os.getpid()), None)
+
+
+def _start() -> subprocess.Popen[bytes]:
+    """Start a child that finds polars where this process would, and nothing of the user's."""
+    specs = [find_spec(name) for name in ("numpy", "polars")]
+    places = [str(Path(spec.origin).parents[1]) for spec in specs if spec and spec.origin]
+    child = subprocess.Popen(
+        [sys.executable, "-I", str(CHILD), *places],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd="/",
+        env=os.environ | {"POLARS_MAX_THREADS": "1"},
+    )
+    _running[:] = [(os.getpid(), child)]
+    return child
+
+
+def _end() -> None:
+    """End this process's child."""
+    child = _held()
+    _running.clear()
+    if child is not None:
+        child.kill()
+        child.wait()
+        for pipe in (child.stdin, child.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+atexit.register(_end)
