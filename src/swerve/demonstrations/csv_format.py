@@ -13,6 +13,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
+import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
@@ -134,31 +135,33 @@ def _parse_cells(
       values: numbers of the rows before these; extended.
       labels: labels; extended.
     """
-    blank: str | None = None  # the error of a blank cell, unless no further row comes
+    places = [(name, found.index(name)) for name in names]
+    blank = ""  # the message about a blank cell, unless no further row comes
     for number, (line, cells) in enumerate(rows, len(values) // len(names) + 1):
-        if blank is not None:
+        if blank:
             raise ValueError(blank)
         at = f"{path}: row {number} (line {line})"
         if len(cells) != len(found):
             raise ValueError(f"{at}: expected {len(found)} cells as the header, got {len(cells)}")
         if label is not None:
             labels.append(cells[found.index(label)].strip())
-        for name in names:
-            cell = cells[found.index(name)].strip(BLANKS)
-            problem = f"{at}, column {name}: expected a number, got {cell!r}"
-            if not cell and name in optional:
-                blank = blank or problem
-            values.append(_number(cell or "nan" if name in optional else cell, problem))
+        for name, place in places:
+            cell = cells[place].strip(BLANKS)
+            value = _number(cell)
+            if value is None:
+                problem = f"{at}, column {name}: expected a number, got {cell!r}"
+                if cell or name not in optional:
+                    raise ValueError(problem)
+                value, blank = math.nan, blank or problem
+            values.append(value)
 
 
-def _number(cell: str, problem: str) -> float:
-    """Return the number in a cell, which may be NaN or infinite."""
-    if NO_NUMBER.fullmatch(cell):
-        return float(cell)
+def _number(cell: str) -> float | None:
+    """Return the number in a cell, which may be NaN or infinite; None where there is none."""
     try:
         return decimal_number(cell)
     except ValueError:
-        raise ValueError(problem) from None
+        return float(cell) if NO_NUMBER.fullmatch(cell) else None
 
 
 def _first_error(data: bytes) -> str:
