@@ -10,10 +10,7 @@ from __future__ import annotations
 import math
 import re
 
-DECIMAL = r"[+-]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+"
-"""Regular expression of a number; it never backtracks."""
-
-_DECIMAL = re.compile(DECIMAL)
+DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 def decimal_number(text: str) -> float:
@@ -23,7 +20,7 @@ def decimal_number(text: str) -> float:
       ValueError: if the text is anything else than a number, spaces included, or the number is too
         large for a float.
     """
-    if not _DECIMAL.fullmatch(text):
+    if not DECIMAL.fullmatch(text):
         raise ValueError(f"expected a decimal number, got {text!r}")
     number = float(text)
     if math.isinf(number):
