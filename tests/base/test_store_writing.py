@@ -96,15 +96,6 @@ def test_writing_flushes_file_and_folder_to_the_disk(
     assert flushed == [(False, False), (True, False)]  # the file before it takes its place
 
 
-def test_a_leftover_confuses_nobody_and_goes_with_the_next_write(path: Path) -> None:
-    leftover = path.with_name(f".{path.name}.tmp")
-    leftover.write_bytes(b"x" * 100_000)
-    assert_same(read(path))
-    store.write(path, KIND, VERSION, HEADER, ARRAYS)
-    assert_same(read(path))
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
 def test_concurrent_writers_leave_one_whole_content(path: Path) -> None:
     failures = []
 

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from swerve.base import files
 from swerve.base.phrases import wrapped
 
 WIDTH, MIN_WIDTH = 8.4, 2.5  # in: default width of a picture, and least width allowed
@@ -61,8 +62,12 @@ def open_sides(axes: Axes, size: float = 8.0) -> None:
 
 
 def written(figure: Figure, path: str | Path | None) -> Figure:
-    """Write a figure to a file, if a file is named, and return the figure."""
+    """Write a figure to a file, if a file is named, and return the figure.
+
+    The suffix tells the format; without a suffix the file becomes a .png.
+    """
     if path is not None:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=200)
+        path = Path(path) if Path(path).suffix else Path(f"{path}.png")
+        form = path.suffix[1:]
+        files.replace(path, lambda file: figure.savefig(file, format=form, dpi=200))
     return figure

@@ -1,7 +1,12 @@
 """Write files so that readers see the old content or the new content, never a part of it.
 
-A file is written beside its final place under another name, `.<file>.tmp`, and moved to its place
-when it is complete. A lock on the temporary file makes a second writer wait.
+A file is written beside its final place under a random name, `.swerve.<16 digits>.tmp`, and moved
+to its place when it is complete. Nothing else in Swerve opens a file for writing. Links are never
+followed: a link at the final place is replaced by the file, and what the link leads to stays as it
+is. Only the umask decides who may read a file.
+
+A writer holds a lock on its temporary file. So what a killed writer left is known by its missing
+lock, and goes with the next write of another process into the folder.
 """
 
 from __future__ import annotations
@@ -9,12 +14,23 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 AnyPath = str | os.PathLike[str]
+
+TEMPORARY = re.compile(r"\.swerve\.[0-9a-f]{16}\.tmp")
+_KINDS = {
+    stat.S_IFDIR: "folder",
+    stat.S_IFIFO: "pipe",
+    stat.S_IFSOCK: "socket",
+    stat.S_IFCHR: "device",
+    stat.S_IFBLK: "device",
+}
+_SWEPT: set[Path] = set()  # folders that this process has cleared of leftovers
 
 
 def write_text(path: AnyPath, text: str) -> None:
@@ -35,27 +51,119 @@ def write_bytes(path: AnyPath, content: bytes) -> None:
     replace(Path(path), lambda file: file.write(content))
 
 
-def open_regular(path: AnyPath, most: int) -> BinaryIO:
-    """Open a file that others may have made, to read it.
-
-    A pipe or a device would be waited for, or read without an end: such files are refused.
+def replace(path: Path, write_to: Callable[[BinaryIO], object]) -> None:
+    """Write a file under another name and move it to its place when it is complete.
 
     Args:
-      path: a regular file, or a link to one.
-      most: number of bytes that the file may have.
+      path: the file; its folder is created if need be, and a link there is replaced.
+      write_to: function that writes the content to an open file.
 
     Raises:
-      OSError: if the file does not exist, or is no regular file.
-      ValueError: if the file has more bytes.
+      OSError: if the folder cannot be written, or there is a folder, a pipe or a device in the
+        file's place; a file that existed there is still there.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    _check_replaceable(path)
     try:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
-            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device"
-            raise OSError(f"{path}: expected a regular file, got {kind}")
-        if found.st_size > most:
-            raise ValueError(f"{path}: {found.st_size:,} bytes, expected at most {most:,}")
+        make_folder(path.parent)
+        with _temporary_file(path.parent) as (temporary, file):
+            write_to(file)
+            file.flush()
+            os.fsync(file.fileno())
+            temporary.replace(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise _cannot_write(path.parent, error, path.name) from error
+
+
+@contextlib.contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """Yield a new folder to fill, which is moved to its place when the block ends.
+
+    Without a block that ends there is no folder at all.
+
+    Raises:
+      OSError: if the folder cannot be written, or a folder with files is there already.
+    """
+    temporary = path.with_name(_random_name())
+    try:
+        make_folder(path.parent)
+        temporary.mkdir()
+    except OSError as error:
+        raise _cannot_write(path.parent, error, path.name) from error
+    descriptor = os.open(temporary, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # some network folders have no locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield temporary
+        _sync_folder(temporary)
+        temporary.rename(path)
+    except BaseException:
+        remove(temporary)
+        raise
+    finally:
+        os.close(descriptor)
+    _sync_folder(path.parent)
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder if need be, and remove what killed writers left in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    place = folder.absolute()
+    if place not in _SWEPT:
+        _SWEPT.add(place)
+        with contextlib.suppress(OSError):  # a folder may be writable and yet not readable
+            for entry in list(place.iterdir()):
+                if TEMPORARY.fullmatch(entry.name):
+                    _remove_leftover(entry)
+
+
+def new_folder(folder: Path) -> None:
+    """Create a folder that must not exist yet.
+
+    Raises:
+      OSError: if the folder cannot be created, or something has its name.
+    """
+    try:
+        folder.mkdir()
+    except OSError as error:
+        raise _cannot_write(folder.parent, error, folder.name) from error
+
+
+def move(path: Path, target: Path) -> None:
+    """Rename a file, a folder or a link, within one file system and in one step.
+
+    Raises:
+      OSError: if one of the folders cannot be written.
+    """
+    try:
+        path.rename(target)
+    except OSError as error:
+        raise _cannot_write(target.parent, error, target.name) from error
+    _sync_folder(target.parent)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with everything in it; links are removed, not followed."""
+    import shutil  # the import takes 5 ms
+
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
+def open_regular(path: AnyPath) -> BinaryIO:
+    """Open a file for reading, after checking that it is a regular file or a link to one.
+
+    Reading from anything else may never end.
+
+    Raises:
+      OSError: if there is no file, the file cannot be opened, or it is a folder, a pipe or a
+        device.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe would wait for a writer
+    try:
+        _check_regular(path, os.fstat(descriptor))
     except BaseException:
         os.close(descriptor)
         raise
@@ -67,11 +175,23 @@ def locked(directory: AnyPath) -> Iterator[None]:
     """Hold the lock of a folder, so that nothing changes there between a read and a write.
 
     A second process waits. On network folders without locks no process waits.
+
+    Raises:
+      OSError: if the lock is a link, a pipe or a device.
     """
-    with (Path(directory) / ".lock").open("ab") as file:
+    path = Path(directory) / ".lock"
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        descriptor = os.open(path, flags, 0o666)
+    except OSError as error:
+        raise _cannot_write(Path(directory), error, path.name) from error
+    try:
+        _check_regular(path, os.fstat(descriptor))
         with contextlib.suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(descriptor)
 
 
 def check_writable(directory: AnyPath) -> None:
@@ -80,51 +200,72 @@ def check_writable(directory: AnyPath) -> None:
     Raises:
       OSError: if the folder cannot be written.
     """
-    import tempfile
-
     directory = Path(directory)
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=directory):
-            pass
+        make_folder(directory)
+        with _temporary_file(directory) as (temporary, _):
+            temporary.unlink()
     except OSError as error:
         raise _cannot_write(directory, error) from error
 
 
-def replace(path: Path, write_to: Callable[[BinaryIO], object]) -> None:
-    """Write a file under another name and move it to its place when it is complete.
-
-    Raises:
-      OSError: if the folder cannot be written; a file that existed there is still there.
-    """
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with _open_alone(temporary) as file:
-            try:
-                write_to(file)
-                file.flush()
-                os.fsync(file.fileno())
-                temporary.replace(path)
-            except BaseException:
-                temporary.unlink()
-                raise
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise _cannot_write(path.parent, error, path.name) from error
-
-
-def _open_alone(temporary: Path) -> BinaryIO:
-    """Open and lock the temporary file; a second writer waits until the first is done or killed."""
+@contextlib.contextmanager
+def _temporary_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+    """Yield a new file of a random name in a folder, locked; removed if the block fails."""
     while True:
-        file = os.fdopen(os.open(temporary, os.O_RDWR | os.O_CREAT, 0o666), "r+b")
-        with contextlib.suppress(OSError):  # some network folders have no locks
-            fcntl.flock(file, fcntl.LOCK_EX)
-        with contextlib.suppress(FileNotFoundError):  # the first writer moved or removed the file
-            if os.path.samestat(os.fstat(file.fileno()), temporary.stat()):
-                file.truncate()
-                return file
-        file.close()
+        path = folder / _random_name()
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+        with os.fdopen(os.open(path, flags, 0o666), "r+b") as file:
+            try:
+                if not _lock_alone(file.fileno(), path):
+                    continue
+                yield path, file
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
+            return
+
+
+def _lock_alone(descriptor: int, path: Path) -> bool:
+    """Lock a new file; return False where another process took it for a leftover meanwhile."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # some network folders have no locks, and there no leftover is removed
+        return True
+    return path.exists()
+
+
+def _remove_leftover(path: Path) -> None:
+    """Remove a temporary file or folder unless its writer is still alive."""
+    with contextlib.suppress(OSError):  # gone, of somebody else, or locked by its writer
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            remove(path)
+        finally:
+            os.close(descriptor)
+
+
+def _random_name() -> str:
+    return f".swerve.{os.urandom(8).hex()}.tmp"
+
+
+def _check_replaceable(path: Path) -> None:
+    """Raise OSError where a folder, a pipe or a device is in the place of a file."""
+    try:
+        found = path.stat()
+    except OSError:  # nothing there, a link that leads nowhere, or a folder that is not there yet
+        return
+    _check_regular(path, found)
+
+
+def _check_regular(path: AnyPath, found: os.stat_result) -> None:
+    """Raise OSError for anything but a regular file."""
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "special file")
+        raise OSError(f"{path}: expected a file, got a {kind}: name another file")
 
 
 def _sync_folder(folder: Path) -> None:

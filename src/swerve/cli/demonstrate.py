@@ -94,7 +94,7 @@ def demonstrate(
 
     sought = control.arguments()
     _check_choices(num, tasks, by, solver, sought)
-    check_writable(out)
+    check_writable(out if out.exists() else out.parent)
     job = open_work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
     given = None if tasks is None else read_tasks(tasks, record.space, record.goal_names)

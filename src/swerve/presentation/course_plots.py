@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from PIL import Image
 
+from swerve.base import files
 from swerve.base.figure_style import FAINT, INK, WIDTH, headed, open_sides, written
 from swerve.base.phrases import cut, probability
 from swerve.base.space import Task
@@ -114,9 +115,9 @@ def animate_course(course: Course, path: str | Path, *, width: float = WIDTH) ->
     padded = [Image.new("RGB", (frame.width, height), "white") for frame in frames]
     for canvas, frame in zip(padded, frames, strict=True):
         canvas.paste(frame, (0, 0))
-    path.parent.mkdir(parents=True, exist_ok=True)
     durations = [FRAME] * (len(frames) - 1) + [LAST]
-    padded[0].save(path, save_all=True, append_images=padded[1:], duration=durations, loop=0)
+    how: dict[str, Any] = {"append_images": padded[1:], "duration": durations, "loop": 0}
+    files.replace(path, lambda file: padded[0].save(file, "GIF", save_all=True, **how))
 
 
 def _frame(figure: Figure, places: list[Bbox]) -> Image.Image:

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from swerve.base import store
+from swerve.base import files, store
 
 
 class Clock:
@@ -80,7 +80,7 @@ class Keeping(NamedTuple):
           ValueError: if the folder was filled by another version, or with another scale.
         """
         place = folder / f"{name}.seed{seed}"
-        place.mkdir(parents=True, exist_ok=True)
+        files.make_folder(place)
         path, made_by = place / "made_by.json", {"swerve": version("swerve"), "scale": repr(scale)}
         if not path.exists():
             store.write_json(path, made_by)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
+from swerve.base import files
 from swerve.demonstrations.demonstration import (
     Demonstration,
     read_demonstrations,
@@ -41,11 +41,9 @@ def kept_optima(
     if not folder.exists():
         with keeping.clock.timing(f"{name}: demonstrations"):
             made = _optima(keeping, problem, truth, num, settings)
-        partial = folder.with_name(f"{name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
         names = problem.mdp.action_names
-        write_demonstrations(partial, made, problem.mdp.space, action_names=names)
-        partial.replace(folder)
+        with files.whole_folder(folder) as partial:
+            write_demonstrations(partial, made, problem.mdp.space, action_names=names)
     found = read_folder(folder, problem)
     if len(found) != num:
         raise ValueError(f"{folder}: expected {num} demonstrations, found {len(found)}: remove it")
@@ -75,7 +73,7 @@ def read_folder(folder: Path, problem: Problem, most: int | None = None) -> list
       OSError: if there is no demonstration, or no tasks.csv.
       ValueError: if a file cannot be understood.
     """
-    files = sorted(folder.glob("demo_*.csv"))[:most]
-    if not files:
+    paths = sorted(folder.glob("demo_*.csv"))[:most]
+    if not paths:
         raise FileNotFoundError(f"{folder}: expected demo_*.csv and tasks.csv, found none")
-    return read_demonstrations(files, problem.mdp.space, tasks=folder / "tasks.csv")
+    return read_demonstrations(paths, problem.mdp.space, tasks=folder / "tasks.csv")
