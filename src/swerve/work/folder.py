@@ -8,7 +8,7 @@
     <solver>.seed<S>.checkpoint                    training that has not finished
     <solver>.seed<S>.training.png                  a picture of how training went
     outdated/                                      all these files as they were before the problem
-                                                   changed
+                                                   changed; `outdating/` while they are moved
 
 A file is named after all settings that its contents depend on (`WorkFolder.result_path`), so that
 other settings make another file. <solver> is percent-encoded: evidence by the solver
@@ -19,9 +19,9 @@ Several processes may work in one folder.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -34,12 +34,11 @@ from swerve.evidence.evidence import Evidence
 from swerve.problem.loading import MISSING, canonical_problem, file_hash
 from swerve.problem.record import ProblemRecord
 from swerve.work.moved_sources import AS_MOVED
+from swerve.work.outdated import RECORD, is_unfinished, recover, set_aside
 from swerve.work.settings import Settings
 
-RECORD = "problem.json"
 RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training.png")
 SAMPLED = ("evidence", "foresight")  # results that depend on the method and on N too
-OUTDATED = "outdated"  # folder of the results of an older version of the problem
 FORMAT = 3  # of problem.json; increase it when its fields change
 
 
@@ -134,7 +133,7 @@ class WorkFolder:
 
     def add_evidence(self, evidence: Evidence, settings: Settings, record: ProblemRecord) -> None:
         """Write evidence, with the stored evidence of other tasks: another process may add some."""
-        with files.locked(self.path):
+        with self._locked():
             stored = self.read_evidence(settings, record)
             if stored is not None:
                 rows = missing_rows(evidence, stored.tasks)
@@ -150,7 +149,11 @@ class WorkFolder:
         Raises:
           ValueError: if the folder holds the results of another problem.
           store.StoreError: if the record is cut short or altered.
+          OSError: if a move of outdated results was cut short, and the folder cannot be written.
         """
+        if is_unfinished(self.path):
+            with self._locked():
+                pass
         path = self.path / RECORD
         if not path.exists():
             return Reading(State.ABSENT)
@@ -199,7 +202,7 @@ class WorkFolder:
           ValueError: if there are results but no record: they may be somebody else's.
           OSError: if the folder cannot be written.
         """
-        with files.locked(self.path):
+        with self._locked():
             aside = None if is_current or self._is_of(record) else self._move_aside()
             if aside is not None:
                 moved(aside)
@@ -228,13 +231,14 @@ class WorkFolder:
                 f"{self.path} holds {results[0].name} but no {RECORD}, so it is no work "
                 "folder of swerve: name another --work folder"
             )
-        aside = self.path / OUTDATED
-        shutil.rmtree(aside, ignore_errors=True)
-        aside.mkdir()
-        shutil.copy(self.path / RECORD, aside)
-        for path in results:
-            shutil.move(path, aside)
-        return aside
+        return set_aside(self.path, results)
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Hold the folder's lock; first undo or finish a move of results that was cut short."""
+        with files.locked(self.path):
+            recover(self.path)
+            yield
 
 
 def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
