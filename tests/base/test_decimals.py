@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swerve.base.decimals import decimal_number
+from swerve.base.decimals import decimal_number, whole_decimal
 
 
 @pytest.mark.parametrize("text", ["0", "-0", "+1", "007", "1.", ".5", "-1.5e3", "1E+05", "2e-400"])
@@ -37,3 +37,17 @@ def test_numbers_too_large_for_a_float_are_refused() -> None:
 def test_every_float_is_read_back(number: float) -> None:
     for text in (repr(number), f"{number:.17g}", f"{number:+.16E}"):
         assert decimal_number(text) == number
+
+
+def test_whole_numbers() -> None:
+    for text, number in (
+        ("-3", -3),
+        ("2e6", 2_000_000),
+        ("12345678901234567890", 12345678901234567890),
+    ):
+        assert whole_decimal(text) == number
+    with pytest.raises(ValueError, match=r"expected a whole number, got '1\.5'"):
+        whole_decimal("1.5")
+    for text in ("1_0", "0x10", "1e400"):
+        with pytest.raises(ValueError, match="expected a "):
+            whole_decimal(text)

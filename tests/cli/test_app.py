@@ -51,3 +51,18 @@ def test_options_of_judging_are_arguments_of_infer_and_of_a_monitor(command: str
     assert vars(bound.arguments["judged"]) == judged
     for accepts in (swerve.infer, swerve.Monitor):
         assert set(judged) <= set(inspect.signature(accepts).parameters)
+
+
+@pytest.mark.parametrize("number", ["0_5", "0x1", "1e400", "nan", "inf", "\u0661", "0,5", " 1"])
+@pytest.mark.parametrize("option", ["--prior-none", "--margin.theta", "--clearance", "--samples"])
+def test_numbers_are_decimal_numbers(
+    option: str, number: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.app(["infer", "pendulum", option, number])
+    assert f"Invalid value for {option}: unable to convert" in capsys.readouterr().err
+
+
+def test_whole_numbers_may_have_an_exponent() -> None:
+    _, bound, _ = cli.app.parse_args("infer pendulum --samples 2e4 --seed 7".split())
+    assert (bound.arguments["how"].samples, bound.arguments["how"].seed) == (20_000, 7)

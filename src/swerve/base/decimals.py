@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from decimal import Decimal
 
 DECIMAL = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
@@ -26,3 +27,14 @@ def decimal_number(text: str) -> float:
     if math.isinf(number):
         raise ValueError(f"expected a number that a float can hold, got {text!r}")
     return number
+
+
+def whole_decimal(text: str) -> int:
+    """Return the whole number that a text holds, which may be written as 2e6.
+
+    Raises:
+      ValueError: if the text is anything else, or the number is too large for a float.
+    """
+    if not decimal_number(text).is_integer():
+        raise ValueError(f"expected a whole number, got {text!r}")
+    return int(Decimal(text))

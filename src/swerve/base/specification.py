@@ -17,6 +17,8 @@ from decimal import Decimal
 from types import SimpleNamespace
 from typing import Any, get_args, get_type_hints
 
+from swerve.base.decimals import decimal_number, whole_decimal
+
 # matches 10, 10.0, 1e1, .5 and so on; not 007, 1.10, +7 or 1_000, which may be texts
 PLAIN_NUMBER = re.compile(
     r"-?((0|[1-9][0-9]*)(\.0|\.[0-9]*[1-9])?|\.[0-9]*[1-9])(e[+-]?[0-9]{1,3})?", re.IGNORECASE
@@ -135,11 +137,11 @@ def _ints(value: str) -> tuple[int, ...]:
     """Return whole numbers separated by commas; raise ValueError for a single number."""
     if "," not in value:
         raise ValueError
-    return tuple(_int(part) for part in value.split(","))
+    return tuple(whole_decimal(part) for part in value.split(","))
 
 
 def _floats(value: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in value.split(","))
+    return tuple(_float(part) for part in value.split(","))
 
 
 def _bool(value: str) -> bool:
@@ -148,22 +150,17 @@ def _bool(value: str) -> bool:
     return value.lower() == "true"
 
 
-def _int(value: str) -> int:
-    try:
-        return int(value)
-    except ValueError:
-        number = float(value)  # accepts 2e6
-    if not number.is_integer():
-        raise ValueError
-    return int(number)
+def _float(value: str) -> float:
+    """Return a number, which may be infinite."""
+    return float(value) if value in ("inf", "-inf") else decimal_number(value)
 
 
 _CONVERSIONS: dict[Any, Callable[[str], Any]] = {
     tuple[int, ...]: _ints,
     tuple[float, ...]: _floats,
     bool: _bool,
-    int: _int,
-    float: float,
+    int: whole_decimal,
+    float: _float,
     str: str,
 }
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import Any
 
 import cyclopts
 from cyclopts import Parameter
 
+from swerve.base.decimals import decimal_number, whole_decimal
 from swerve.base.version import VERSION
 from swerve.cli.demo import demo
 from swerve.cli.demonstrate import demonstrate
@@ -22,11 +24,23 @@ from swerve.cli.options import say
 from swerve.cli.reproduce import reproduce
 from swerve.cli.watch import watch
 
+
+def _convert(kind: Any, tokens: Any) -> Any:
+    """Convert the texts of an option; numbers are read as everywhere, by `base.decimals`."""
+    return cyclopts.convert(kind, tokens, converter=_convert_one)
+
+
+def _convert_one(kind: Any, text: str) -> Any:
+    if kind is float:
+        return decimal_number(text)
+    return whole_decimal(text) if kind is int else cyclopts.convert(kind, [text])
+
+
 app = cyclopts.App(
     name="swerve",
     help="Infer which constraint a demonstrator is obeying.",
     version=VERSION,
-    default_parameter=Parameter(negative=()),
+    default_parameter=Parameter(negative=(), converter=_convert),
     suppress_keyboard_interrupt=False,
 )
 for command in (infer, fit_beta, watch, learn, sample, demo, demonstrate, reproduce):
