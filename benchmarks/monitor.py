@@ -148,7 +148,7 @@ def lateness(seconds: float) -> np.ndarray:
             f"evidence = Evidence.load({str(Path(folder) / 'a.evidence')!r})\n"
             f"found = Foresight.load({str(Path(folder) / 'a.foresight')!r}, evidence.problem)\n"
             "task = Task(evidence.tasks.start[0], evidence.tasks.goal[0])\n"
-            "answer_lines(sys.stdin, Watch(evidence, found, {'a': task}).answer, sys.stdout)"
+            "answer_lines(sys.stdin.buffer, Watch(evidence, found, {'a': task}).answer, sys.stdout)"
         )
         with subprocess.Popen(
             [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

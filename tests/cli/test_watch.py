@@ -68,7 +68,7 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     lines = lines_of(demonstrations[0])
     text = "\n".join(lines) + "\n"
     arguments = ["watch", robot, "--work", work, "--tasks", tasks]
-    monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
     status, out, err = run(*arguments, "--solver", SOLVER, "--samples", 500)
     assert status == 0, err
     assert "learning to look ahead" in err
@@ -87,7 +87,7 @@ def test_the_command_learns_once_and_then_starts_without_jax(
     assert path.stem == next(work.glob("*.evidence")).stem
 
     broken, *others = answers_without_jax(arguments, b"\xff\n" + text.encode())
-    assert "expected one JSON object or array a line" in broken["error"]
+    assert "expected UTF-8 text (invalid start byte): the line is left out" in broken["error"]
     assert broken["line"] == 1
     assert others == answers
     check_last_answer(run, [robot, demonstrations[0], "--tasks", tasks, "--work", work], answers)

@@ -10,7 +10,7 @@ import pytest
 from support.monitors import START, TASK, Known, make_monitor
 from support.synthetic import make_demonstration, make_evidence, make_record
 
-from swerve import ActionBox, Box, Monitor, Task, infer
+from swerve import ActionBox, Box, Monitor, Predicate, Task, infer
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.monitoring.monitor import AGREEMENT
 
@@ -165,6 +165,10 @@ def test_a_state_that_comes_again_changes_nothing() -> None:
         (3.0, "expected 2 numbers"),
         ("01", "expected 2 numbers"),
         ([0.1, 10**400], "expected 2 numbers"),
+        ([0.1, 56.0], r"state: x: 56 is more than 10 half-widths from .* bounds \[0, 10\]. Anoth"),
+        ([0.1, -1e308], "state: x: -1e\\+308 is more than 10 half-widths"),
+        ([360.0, 1.0], "state: theta: 360 is an angle of more than 10 turns. Degrees?"),
+        ([1e308, 1.0], "state: theta: 1e\\+308 is an angle of more than"),
     ],
 )
 def test_a_bad_state_changes_nothing(state, message: str) -> None:
@@ -183,6 +187,14 @@ def test_a_bad_state_changes_nothing(state, message: str) -> None:
         (np.nan, "expected seconds since the start of the task, got nan"),
         ("soon", "expected seconds since the start of the task, got 'soon'"),
         (10**400, "expected seconds since the start of the task, got 1000"),
+        (
+            1e308,
+            r"expected seconds since .* got 1e\+308 s, where the horizon is 0.5 s; this state is",
+        ),
+        (
+            5e4,
+            "expected seconds since the start of the task, got 50000 s, where the horizon is 0.5",
+        ),
         (None, "expected a time for every state or for none, got None, and the last had a time"),
     ],
 )
@@ -192,6 +204,29 @@ def test_a_bad_time_changes_nothing(time, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         monitor.observe([0.2, 8.0], time)
     assert monitor.observe(START, 0.2).flags == ("repeated",)
+
+
+def test_a_predicate_that_fails_changes_nothing() -> None:
+    """Nothing of a state is kept where code of a user fails at it."""
+
+    def enters(state: np.ndarray) -> np.ndarray:
+        if (state == 7.0).any():
+            raise KeyError("seven")
+        return state[..., 1] > 8.0
+
+    space = ConstraintHypotheses([Predicate("high", enters)] * 12)
+    evidence = make_evidence(make_record(hypotheses=space, between_states=True))
+    monitors = [Monitor(evidence, TASK, Known(evidence)) for _ in range(2)]
+    beliefs = []
+    for monitor in monitors:
+        monitor.observe(START, 0.0)
+        if monitor is monitors[0]:
+            with pytest.raises(KeyError):
+                monitor.observe([0.1, 7.0], 0.1)
+        beliefs.append(monitor.observe([0.1, 2.0], 0.1))
+    assert beliefs[0].flags == beliefs[1].flags
+    assert beliefs[0].entered == beliefs[1].entered == ()
+    np.testing.assert_array_equal(beliefs[0].log_likelihood, beliefs[1].log_likelihood)
 
 
 def test_bad_arguments() -> None:

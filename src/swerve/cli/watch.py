@@ -32,8 +32,9 @@ def watch(
     """Watch demonstrations state by state: JSON lines in, JSON lines out.
 
     A line in is an object such as {"theta": 3.1, "omega": 0.2, "t": 0.05, "id": "a"}, or an array
-    of the states; {"end": true, "id": "a"} ends a demonstration. Before the first line, learns
-    whatever the work folder does not hold yet.
+    of the states; {"end": true, "id": "a"} ends a demonstration. A line that cannot be used is
+    answered with its error, and changes nothing. Before the first line, learns whatever the work
+    folder does not hold yet.
 
     Args:
       tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one row.
@@ -44,8 +45,6 @@ def watch(
     from swerve.demonstrations.demonstration import read_tasks
     from swerve.monitoring.monitor import check_hypotheses
 
-    if isinstance(sys.stdin, io.TextIOWrapper):
-        sys.stdin.reconfigure(errors="replace")  # so that broken bytes are answered, as a bad line
     job = open_work(problem, work, how)
     check_hypotheses(job.record)
     check_judging(job.record, judged)
@@ -58,4 +57,5 @@ def watch(
         named = {str(k): Task(*row) for k, row in enumerate(rows)}
     watched = Watch(evidence, job.foresight(evidence), named, **vars(judged))
     say("watching: one state a line")
-    answer_lines(sys.stdin, watched.answer, sys.stdout)
+    source = io.BytesIO() if sys.stdin is None else sys.stdin.buffer
+    answer_lines(source, watched.answer, sys.stdout)

@@ -152,14 +152,19 @@ def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
     if not far.size:
         return
     row, column = far[0]
-    problem = f"{at(row)}, column {space.names[column]}: {states[row, column]:.6g}"
+    raise ValueError(f"{at(row)}, column {unit_problem(float(states[row, column]), space, column)}")
+
+
+def unit_problem(value: float, space: StateSpace, column: int) -> str:
+    """Return the message about a number that is too far outside the bounds to be believed."""
+    problem = f"{space.names[column]}: {value:.6g}"
     if space.is_angle[column]:
-        raise ValueError(
+        return (
             f"{problem} is an angle of more than {MAX_TURNS} turns. Degrees? Radians are "
             f"expected; if it is right, wrap it to [0, 2 pi)"
         )
     low, high = space.bounds[column]
-    raise ValueError(
+    return (
         f"{problem} is more than {MAX_HALF_EXTENTS} half-widths from the middle of the bounds "
         f"[{low:.6g}, {high:.6g}]. Another unit? If it is right, widen the MDP's bounds"
     )

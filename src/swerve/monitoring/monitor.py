@@ -28,6 +28,7 @@ import numpy as np
 
 from swerve.base.arguments import instance, number_or_nan
 from swerve.base.space import Task
+from swerve.demonstrations.checks import unit_problem
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.stepwise import stepwise
 from swerve.inference import likelihood
@@ -39,6 +40,7 @@ from swerve.problem.record import ProblemRecord
 # nats: largest difference between log P_0(avoid c | s_0, goal) by evidence and by foresight, which
 # cannot estimate a probability such as exp(-20). Above, the foresight's own value is subtracted.
 AGREEMENT = 1.0
+MAX_HORIZONS = 1e5  # later times are of another clock, or broken: the next state would come earlier
 
 
 class Belief(NamedTuple):
@@ -119,6 +121,7 @@ class Monitor:
         # call the foresight now: its first call takes longest, and the demonstrator does not wait
         self._begin(start, evidence.log_ratio[number], self._ahead(start, 0))
         self._array = np.empty(len(space.names))
+        self._believable = space.believable.T.tolist()
         self._state: list[float] = []
         self._time, self._is_timed = 0.0, False
         self._last: Belief | None = None
@@ -141,10 +144,11 @@ class Monitor:
           model's horizon.
 
         Raises:
-          ValueError: if the state is not n finite numbers, or the time is not finite, is negative,
-            runs backwards, or is given for some states only: then the monitor has not changed. Or
-            if no answer that the prior allows is left, or the foresight gives NaN: then the state
-            has been taken in.
+          ValueError: if the state is not n finite numbers, or is so far outside the bounds that its
+            unit must be wrong; or the time is not finite, is negative, is MAX_HORIZONS horizons or
+            later, runs backwards, or is given for some states only: then the monitor has not
+            changed. Or if no answer that the prior allows is left, or the foresight gives NaN:
+            then the state has been taken in.
         """
         values = self._checked(state)
         now, is_first = self._checked_time(time), not self._state
@@ -154,6 +158,7 @@ class Monitor:
             flags = self._checks.of_first(values, now)
         else:
             flags = self._checks.of_next(values, now, self._state, self._time)
+        entered = self._steps.enter(values)  # nothing has changed if this or an earlier line fails
         self._array[:] = values
         self._state, self._time, self._last = values, now, None
         self._is_timed = time is not None
@@ -162,9 +167,7 @@ class Monitor:
             num = len(self._entered)
             foreseen = np.zeros(num) if self._is_over(step) else self._ahead(self._array, step)
             self._begin(self._array, foreseen, foreseen)
-        new = tuple(
-            k for k in self._steps.enter(values) if self._is_counted[k] and not self._entered[k]
-        )
+        new = tuple(k for k in entered if self._is_counted[k] and not self._entered[k])
         if new:
             self._entered[list(new)] = True
         struck_out = self._struck_out()
@@ -286,9 +289,11 @@ class Monitor:
             raise ValueError(
                 f"state: expected {len(names)} numbers ({', '.join(names)}), got {state!r}"
             )
-        for name, value in zip(names, values, strict=True):
+        for column, (value, (low, high)) in enumerate(zip(values, self._believable, strict=True)):
             if not math.isfinite(value):
-                raise ValueError(f"state: expected finite numbers, got {name} = {value}")
+                raise ValueError(f"state: expected finite numbers, got {names[column]} = {value}")
+            if not low <= value <= high:
+                raise ValueError(f"state: {unit_problem(value, self._problem.space, column)}")
         return values
 
     def _checked_time(self, time: float | None) -> float:
@@ -304,6 +309,12 @@ class Monitor:
         now = time if type(time) is float else number_or_nan(time)
         if not (math.isfinite(now) and now >= 0.0):
             raise ValueError(f"time: expected seconds since the start of the task, got {time!r}")
+        horizon = self._problem.num_steps * self._problem.dt
+        if now >= MAX_HORIZONS * horizon:
+            raise ValueError(
+                f"time: expected seconds since the start of the task, got {now:g} s, where the "
+                f"horizon is {horizon:g} s; this state is ignored"
+            )
         if self._state and now < self._time:
             raise ValueError(
                 f"time: runs backwards, from {self._time:g} s to {now:g} s; this state is ignored"
