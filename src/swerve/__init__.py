@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from swerve.hypotheses.base import HypothesisSet
     from swerve.hypotheses.grid import grid
     from swerve.hypotheses.windows import windows
-    from swerve.inference.greedy import Pick, greedy
+    from swerve.inference.greedy import Pick, Picks, greedy
     from swerve.inference.pairs import Pair, best_pair
     from swerve.monitoring.course import Course, follow
     from swerve.monitoring.foresee import Rollouts, foresee
@@ -96,6 +96,7 @@ _HOMES = {
     "PPO": "solvers.trained.ppo",
     "Pair": "inference.pairs",
     "Pick": "inference.greedy",
+    "Picks": "inference.greedy",
     "Polygon": "constraints.polygons",
     "Pendulum": "systems.pendulum",
     "Predicate": "constraints.predicate",
@@ -170,6 +171,7 @@ __all__ = [
     "Pair",
     "Pendulum",
     "Pick",
+    "Picks",
     "Polygon",
     "Predicate",
     "Problem",

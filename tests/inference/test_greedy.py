@@ -102,7 +102,7 @@ def test_odds_of_one_more_by_hand() -> None:
     columns[0, :200, 5] = columns[0, 200:250, 7] = columns[0, 250:300, 8] = True
     inference = infer(evidence_of_columns(columns, grid(x=(0.0, 10.0, 10))), [make_demonstration()])
     assert inference.struck_out.tolist() == [False] + [True] + 8 * [False]
-    picks = greedy(inference)
+    picks = greedy(inference, threshold=0.1)
     factors = [
         (6 * 1 + 2 + 2 * 1 / 0.875) / 10,
         (6 * 1 + 2 / 0.75) / 9,
@@ -111,9 +111,12 @@ def test_odds_of_one_more_by_hand() -> None:
     assert [pick.hypothesis for pick in picks] == [5, 7, 8]
     np.testing.assert_allclose([pick.log_odds for pick in picks], np.log(factors))
     assert picks[0].log_odds == pytest.approx(inference.log_bayes_factor)
-    asked = greedy(inference, odds=1.0)
-    assert [pick.hypothesis for pick in asked] == [5]  # factors[1] < 1
-    assert asked[0].log_odds == pytest.approx(math.log(factors[0]))
+    for asked in (greedy(inference), greedy(inference, odds=1.0)):
+        assert [pick.hypothesis for pick in asked] == [5]  # factors[1] < 1
+        assert asked[0].log_odds == pytest.approx(math.log(factors[0]))
+        assert asked.following is not None
+        assert (asked.ended, asked.following.hypothesis) == ("odds", 7)
+        assert asked.following.log_odds == pytest.approx(math.log(factors[1]))
     few = greedy(inference, odds=0.99 / factors[1])
     assert [pick.hypothesis for pick in few] == [5]
     more = greedy(inference, odds=1.01 / factors[1])
@@ -127,10 +130,16 @@ def test_the_prior_weighs_the_odds() -> None:
     evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
     sure = np.array([0.5, *(0.5 * (np.arange(10) == 5))])
     shown = [make_demonstration()] * 3
-    assert greedy(infer(evidence, shown, prior=sure))[0].log_odds == pytest.approx(3 * math.log(2))
-    [pick] = greedy(infer(evidence, shown, prior=1.0))
+    picks = greedy(infer(evidence, shown, prior=sure))
+    assert picks[0].log_odds == pytest.approx(3 * math.log(2))
+    assert (len(picks), picks.ended) == (1, "exhausted")  # the prior of all others is 0
+    never = infer(evidence, shown, prior=1.0)
+    [pick] = greedy(never, threshold=0.1)
     assert pick.log_odds == -math.inf
-    assert greedy(infer(evidence, shown, prior=1.0), odds=1.0) == []
+    for picks in (greedy(never), greedy(never, odds=1.0)):
+        assert (picks, picks.ended) == ([], "odds")
+    other = infer(evidence, shown, prior=np.array([0.5, *(0.5 * (np.arange(10) == 3))]))
+    assert greedy(other, threshold=0.1) == []
 
 
 def test_digits_are_kept_where_nearly_everything_is_covered() -> None:
@@ -142,7 +151,7 @@ def test_digits_are_kept_where_nearly_everything_is_covered() -> None:
     heavy = np.where(np.arange(500) < 100, 30.0, 0.0)[None]
     samples = evidence.samples._replace(log_correction=heavy)
     evidence = make_evidence(evidence.problem, samples, evidence.tasks)
-    picks = greedy(infer(evidence, [make_demonstration()]))
+    picks = greedy(infer(evidence, [make_demonstration()]), threshold=0.1)
     assert [pick.hypothesis for pick in picks] == [5, 7, 8]
     np.testing.assert_allclose(
         [pick.gain for pick in picks[1:]], -np.log([0.8, 1 - 40 / 320]), rtol=1e-12
@@ -237,7 +246,7 @@ def copied(seed: int, num_copies: int) -> Inference:
 @pytest.mark.parametrize("num_copies", [1, 10])
 def test_errors_are_how_far_gains_differ_when_sampled_again(num_copies: int) -> None:
     """Errors that took copies for independent would be less than a third of the spread."""
-    found = [greedy(copied(seed, num_copies), most=2) for seed in range(200)]
+    found = [greedy(copied(seed, num_copies), threshold=0.1, most=2) for seed in range(200)]
     assert all([pick.hypothesis for pick in picks] == [5, 7] for picks in found)
     for place in range(2):
         spread = np.std([picks[place].gain for picks in found], ddof=1)

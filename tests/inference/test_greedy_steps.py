@@ -80,7 +80,12 @@ def test_the_threshold_ends_it_and_its_pick_is_left_out(nominal: TableNominal) -
     assert [pick.hypothesis for pick in some] == [
         pick.hypothesis for pick in every if pick.gain >= least
     ]
-    assert len(greedy(shown, nominal, threshold=0.0, most=2)) == 2
+    assert (some.ended, some.threshold) == ("threshold", least)
+    assert some.following is not None
+    assert some.following.hypothesis == every[len(some)].hypothesis
+    assert every.ended == "exhausted"
+    two = greedy(shown, nominal, threshold=0.0, most=2)
+    assert (len(two), two.ended, two.following) == (2, "most", None)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])
@@ -123,7 +128,7 @@ def test_gains_of_samples_come_with_their_errors() -> None:
     columns = np.zeros((1, 400, 10), bool)
     columns[0, :200, 5] = columns[0, 200:250, 7] = True
     evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
-    picks = greedy(infer(evidence, [make_demonstration()]))
+    picks = greedy(infer(evidence, [make_demonstration()]), threshold=0.1)
     expected = [math.sqrt(0.5 * 0.5 / 400) / 0.5, math.sqrt(0.25 * 0.75 / 200) / 0.75]
     np.testing.assert_allclose([pick.standard_error for pick in picks], expected, rtol=1e-6)
 
@@ -149,7 +154,7 @@ def test_sampled_greedy_leaves_out_what_enters_the_picks() -> None:
     columns[0, :200, 5] = columns[0, :199, 6] = True
     columns[0, 200:250, 7] = True
     evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
-    picks = greedy(infer(evidence, [make_demonstration()]))
+    picks = greedy(infer(evidence, [make_demonstration()]), threshold=0.1)
     assert [pick.hypothesis for pick in picks] == [5, 7]
     np.testing.assert_allclose(
         [pick.gain for pick in picks], [math.log(2.0), -math.log(0.75)], rtol=1e-6

@@ -29,8 +29,8 @@ MUTANTS = (
     Mutant(
         "keep the pick that gains less than the threshold",
         "inference/greedy.py",
-        "if pick is None or pick.gain < max(threshold, TIED):",
-        "if pick is None or (picks and picks[-1].gain < max(threshold, TIED)):",
+        "if threshold is not None and pick.gain < threshold:",
+        "if threshold is not None and picks and picks[-1].gain < threshold:",
         "inference/test_greedy_steps",
     ),
     Mutant(
@@ -120,7 +120,7 @@ MUTANTS = (
     Mutant(
         "forget the errors of ratios worked out with the constraint in force",
         "inference/posterior.py",
-        "error = np.hypot(island_error, _propagated_error(value, (own**2).sum(axis=0)))",
+        "error = np.hypot(island_error, _propagated_error(value, own**2))",
         "error = island_error",
         "inference/test_posterior",
     ),

@@ -317,6 +317,12 @@ class TestSeveral:
             [pick.total_gain for pick in picks], abs=0.006
         )
 
-    def test_says_where_none_explains_enough(self) -> None:
-        assert "No constraint explains enough to be picked." in Page(page(ordinary(), [])).words
-        assert "Several constraints" not in page(ordinary())
+    def test_says_why_picking_ended_and_what_would_come_next(self) -> None:
+        result = ordinary()
+        assert "No constraint was picked." in Page(page(result, [])).words
+        assert "Several constraints" not in page(result)
+        words = Page(page(result, greedy(result, threshold=100.0))).words
+        ended = "no constraint explains 100 nats per demonstration, the threshold; next would be"
+        assert f"No constraint was picked. Picking ended: {ended} cell" in words
+        words = Page(page(result, greedy(result, most=1))).words
+        assert "just before the pick. Picking ended: as many as asked for: 1." in words

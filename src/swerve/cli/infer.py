@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from swerve.answer import Inference
     from swerve.base.space import Task
     from swerve.evidence.evidence import Evidence
-    from swerve.inference.greedy import Pick
+    from swerve.inference.greedy import Picks
     from swerve.work.work import Work
 
 
@@ -43,7 +43,9 @@ def infer(
     work: WorkPath = None,
     report: Path | None = None,
     no_resolve: bool = False,
+    resolve_seconds: float = 300.0,
     greedy: int | None = None,
+    threshold: float | None = None,
     as_json: AsJson = False,
 ) -> None:
     """Rank the hypotheses of a problem by how well they explain demonstrations.
@@ -56,17 +58,25 @@ def infer(
       demonstrations: CSV or Parquet files whose columns include the states' names.
       report: HTML page to write, with the picture, the ranking and the diagnostics.
       no_resolve: For a hypothesis that hardly any trajectory avoids, report a lower bound of the
-        score, which is all that the samples tell. Without this option the score is worked out,
-        which may take minutes.
-      greedy: Pick up to this many constraints as well, one after another. Each pick explains most
-        of what earlier picks leave unexplained.
+        score, which is all that the samples tell. Without this option the score is worked out.
+      resolve_seconds: Time after which no further score of this kind is worked out, in seconds; inf
+        for no limit. The hypotheses that rank first come first, and what is left is named.
+      greedy: Pick up to this many constraints as well, one after another, as long as one more
+        constraint is more probable than no more. Each pick explains most of what earlier picks
+        leave unexplained.
+      threshold: With --greedy, pick as long as a pick explains at least this many nats per
+        demonstration more, however probable it is.
     """
     from swerve.answer import infer as infer_constraints
 
     if report is not None:
         _check_report(report)
-    if greedy is not None:
-        _check_greedy(greedy, demonstrations)
+    if not resolve_seconds > 0.0:
+        raise ValueError(
+            f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: --no-resolve works "
+            "out nothing"
+        )
+    _check_greedy(greedy, threshold, demonstrations)
     job = open_work(problem, work, how)
     check_judging(job.record, judged)
     found = read_files(job, demonstrations, tasks)
@@ -77,9 +87,9 @@ def infer(
     rank = partial(infer_constraints, demonstrations=found, score=score, **vars(judged))
     result = rank(evidence)
     if not no_resolve:
-        result = rank(job.resolved(result))
-    picks = None if greedy is None else _picks(job, result, greedy)
-    _show(result, picks, greedy, report, as_json)
+        result = rank(job.resolved(result, resolve_seconds))
+    picks = None if greedy is None else _picks(job, result, greedy, threshold)
+    _show(result, picks, report, as_json)
 
 
 def _check_report(report: Path) -> None:
@@ -93,8 +103,17 @@ def _check_report(report: Path) -> None:
     check_writable(report.parent)
 
 
-def _check_greedy(most: int, demonstrations: tuple[Path, ...]) -> None:
-    """Make sure, before the work, that constraints can be picked."""
+def _check_greedy(
+    most: int | None, threshold: float | None, demonstrations: tuple[Path, ...]
+) -> None:
+    """Make sure, before the work, that constraints can be picked, if they are asked for."""
+    if most is None:
+        if threshold is not None:
+            raise ValueError("--threshold: it tells when --greedy ends: give --greedy as well")
+        return
+    from swerve.inference.greedy import checked_threshold
+
+    checked_threshold(threshold)
     if most < 1:
         raise ValueError(f"--greedy: expected a number of picks >= 1, got {most}")
     if not demonstrations:
@@ -107,27 +126,20 @@ def _only(evidence: Evidence, tasks: Task) -> Evidence:
     return evidence.select(sorted(indices))
 
 
-def _picks(job: Work, result: Inference, most: int) -> list[Pick]:
+def _picks(job: Work, result: Inference, most: int, threshold: float | None) -> Picks:
     """Return the constraints that greedy selection picks from a result."""
     from swerve.inference.greedy import greedy
 
     nominal: Any = job.nominal() if result.evidence.is_exact else None
-    return greedy(result, nominal, most=most)
+    return greedy(result, nominal, threshold=threshold, most=most)
 
 
-def _show(
-    result: Inference,
-    picks: list[Pick] | None,
-    most: int | None,
-    report: Path | None,
-    as_json: bool,
-) -> None:
+def _show(result: Inference, picks: Picks | None, report: Path | None, as_json: bool) -> None:
     """Print a result and write its report.
 
     Args:
       result: result of `swerve.infer`.
       picks: constraints that were picked; None if no picks were asked for.
-      most: number of picks asked for.
       report: HTML file to write, or None.
       as_json: whether to print JSON.
     """
@@ -136,15 +148,15 @@ def _show(
     for warning in result.warnings:
         say(f"warning: {warning}")
     if as_json:
-        picked = {} if picks is None else {"greedy": text_tables.picks_to_json(result, picks)}
+        picked = {} if picks is None else text_tables.picks_to_json(result, picks)
         print(json.dumps(result.to_json() | picked))
     else:
         print(result.evidence.problem.summary)
         print(result.headline)
         print(result.belief)
         print(result.table())
-        if picks is not None and most is not None:
-            print(text_tables.picks_table(result, picks, most))
+        if picks is not None:
+            print(text_tables.picks_table(result, picks))
         print(result.verdicts())
     if report is not None:
         result.report(report, picks)

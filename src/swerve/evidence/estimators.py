@@ -49,8 +49,12 @@ class Parts(NamedTuple):
         """Return the sampling variance [H] of Z_c / Z_0 where only groups are independent.
 
         var = G / (G - 1) sum_g (sum_{n in g} w_n (1[n avoids] - p))^2
+
+        The variance is infinite where one group has all the weight: one group shows no spread.
         """
         num = len(self.weight)
+        if np.count_nonzero(self.weight) < 2:
+            return np.full(self.avoided.shape[1], np.inf)
         deviation = self.avoided - self.weight[:, None] * self.avoided.sum(axis=0)
         return num / (num - 1) * (deviation**2).sum(axis=0)
 
@@ -256,6 +260,21 @@ def log_ratio(estimate: Estimate, resolution: Any) -> LogRatio:
     relative = np.maximum(np.sqrt(estimate.avoid_variance) / avoid, least)
     is_floored = estimate.avoid_probability < least
     return LogRatio(np.log(avoid), np.where(is_floored, 1.0, relative))
+
+
+def joint_error(error: np.ndarray, sample_of: np.ndarray) -> np.ndarray:
+    """Return the standard error [...] of a sum over tasks from the error of each term [K, ...].
+
+    Tasks of the same sample share all their trajectories: their errors are the same error, and add
+    up. Errors of different samples are independent.
+
+    Args:
+      error: [K, ...] standard errors of the terms.
+      sample_of: [K] number of each task's sample, from 0.
+    """
+    together = np.zeros((int(sample_of.max(initial=0)) + 1, *error.shape[1:]))
+    np.add.at(together, sample_of, error)
+    return np.linalg.norm(together, axis=0)
 
 
 def hoeffding_error(num_trajectories: int, confidence: float = 0.95) -> float:

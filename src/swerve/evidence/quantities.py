@@ -17,8 +17,12 @@ import numpy as np
 
 from swerve.base.space import Task
 from swerve.evidence import estimators
+from swerve.evidence.motion import Motion
 from swerve.evidence.samples import EXACT, Samples, Summary, log_weights, weights_used
+from swerve.hypotheses.bits import select
 from swerve.problem.record import ProblemRecord
+
+MISSED_ERRORS = 3.0  # least errors that samples state: they must not miss a larger share of pi_0
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +41,14 @@ class Quantities:
     summary: Summary
     load_samples: Callable[[], Samples] = dataclasses.field(repr=False)
     sampling_beta: float = None  # pyright: ignore[reportAssignmentType]  # set below
+    motion: Motion | None = None
+    missed_share: np.ndarray = None  # pyright: ignore[reportAssignmentType]  # set below
 
     def __post_init__(self) -> None:
         if self.sampling_beta is None:
             object.__setattr__(self, "sampling_beta", self.problem.beta)
+        if self.missed_share is None:
+            object.__setattr__(self, "missed_share", np.full(self.num_tasks, np.nan))
 
     @cached_property
     def samples(self) -> Samples:
@@ -67,18 +75,50 @@ class Quantities:
         """[K, H] probability that a nominal trajectory enters each hypothesis, 1 - Z_c / Z_0."""
         return 1.0 - self.summary.avoid_probability
 
-    @property
+    @cached_property
+    def sample_of(self) -> np.ndarray:
+        """[K] number of each task's sample, from 0: equal tasks have the same trajectories."""
+        return np.unique(np.hstack(self.tasks), axis=0, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
     def resolution(self) -> np.ndarray:
         """[K] the least probability that the samples can tell from 0: one trajectory's share.
 
-        The share is 1 / N for equal weights and 1 / ESS for importance weights; 0 if answers are
+        The share is 1 / ESS for importance weights. For equal weights the share is 1 / N, where N
+        is the number of trajectories that enter no known constraint. The share is 0 if answers are
         exact.
         """
         if self.is_exact:
             return np.zeros(self.num_tasks)
         if self._has_equal_weights:
-            return np.full(self.num_tasks, 1.0 / self.num_trajectories)
+            return 1.0 / self._num_allowed
         return 1.0 / self.effective_sample_size
+
+    def resolution_among(self, task: int, rows: np.ndarray) -> float:
+        """Return the share of one trajectory among some trajectories of a task, as `resolution`.
+
+        Args:
+          task: number of the task.
+          rows: [M] indices of the trajectories.
+        """
+        ancestor = self.samples.ancestor[task, rows]
+        log_weights = [self.log_weight[task, rows]]
+        if self.method == "plain" and self.is_of_other_beta:
+            log_weights.append(self.importance_log_weight[task, rows])
+        return 1.0 / min(estimators.effective_sample_size(x, ancestor) for x in log_weights)
+
+    def avoid_probability_by_samples(self, task: int) -> np.ndarray:
+        """Return Z_c / Z_0 [H] of a task by its trajectories alone, without those of `resolve`."""
+        found = self.summary.avoid_probability[task].copy()
+        resolved = np.flatnonzero(self.is_resolved[task])
+        bits = select(self.samples.violations[task], resolved)
+        found[resolved] = estimators.normalise(self.log_weight[task]) @ (1.0 - bits)
+        return found
+
+    @property
+    def is_missing(self) -> np.ndarray:
+        """[K] True where the samples miss more of pi_0 than their stated errors allow for."""
+        return self.missed_share > MISSED_ERRORS * self.resolution
 
     @property
     def has_too_few(self) -> np.ndarray:
@@ -185,7 +225,7 @@ class Quantities:
         """[K, N] log-weights that `method` uses, nats; for "plain" (beta - sampling_beta) R."""
         return weights_used(self.problem, self.samples, self.method, self.sampling_beta)
 
-    @property
+    @cached_property
     def importance_log_weight(self) -> np.ndarray:
         """[K, N] l = beta R + log m - log pi, plus the correction for resampling, nats."""
         return log_weights(self.problem, self.samples) + self.samples.log_correction
@@ -206,7 +246,14 @@ class Quantities:
                 f"Hoeffding's bound needs equal weights (method 'plain'), this evidence was made "
                 f"{made}: use standard_error"
             )
-        return estimators.hoeffding_error(self.num_trajectories, confidence)
+        return estimators.hoeffding_error(int(self._num_allowed.min()), confidence)
+
+    @property
+    def _num_allowed(self) -> np.ndarray:
+        """[K] number of trajectories that enter no known constraint: only these have a weight."""
+        if not self.problem.known:
+            return np.full(self.num_tasks, self.num_trajectories)
+        return np.isfinite(self.samples.total_reward).sum(axis=1)
 
     @property
     def _has_equal_weights(self) -> bool:

@@ -54,7 +54,8 @@ class Samples(NamedTuple):
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
       kept: [K, M, T+1, n] a few whole trajectories, chosen by weight, for pictures.
       soft_value: [K] log Z_0 by the solver's own soft value at the beta of the sampling, nats; NaN
-        where the solver has no soft value.
+        where the solver has no soft value, -inf where by the solver known constraints close the
+        start in.
     """
 
     total_reward: np.ndarray
@@ -125,7 +126,7 @@ def summarise(
       method: how to weigh the trajectories.
       sampling_beta: beta for which the trajectories were sampled; the problem's if None.
     """
-    rows = []
+    rows, num_hypotheses = [], len(problem.hypotheses)
     sampling_beta = problem.beta if sampling_beta is None else sampling_beta
     importance = log_weights(problem, samples)
     weights = weights_used(problem, samples, method, sampling_beta)
@@ -134,11 +135,9 @@ def summarise(
         log_partition = estimators.log_partition(log_weight)
         kept, ancestor = samples.kept[k], samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
-        of_islands = _of_islands(used, samples.violations[k], problem)
-        estimate = estimators.avoid_probability(
-            used, samples.violations[k], len(problem.hypotheses)
-        )
-        if len(np.unique(ancestor)) < len(ancestor):  # trajectories depend on one another
+        of_islands = _of_islands(used, samples.violations[k], num_hypotheses)
+        estimate = estimators.avoid_probability(used, samples.violations[k], num_hypotheses)
+        if not are_independent(ancestor):
             estimate = estimate._replace(avoid_variance=of_islands.variance())
         if method in RESAMPLED:
             kl = float(estimators.normalise(log_weight) @ _finite(importance[k])) - log_partition
@@ -149,7 +148,7 @@ def summarise(
             (
                 *estimate,
                 _log(estimate.avoid_probability),
-                np.full(len(problem.hypotheses), np.nan),
+                np.full(num_hypotheses, np.nan),
                 log_partition,
                 kl,
                 min(estimators.effective_sample_size(x, ancestor) for x in (log_weight, used)),
@@ -171,13 +170,36 @@ def islands(num_trajectories: int) -> list[np.ndarray]:
     return np.array_split(np.arange(num_trajectories), num_islands)
 
 
+def are_independent(ancestor: np.ndarray) -> bool:
+    """Return whether no two trajectories descend from the same one, given the ancestor of each."""
+    return len(np.unique(ancestor)) == len(ancestor)
+
+
+def estimated(
+    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, ancestor: np.ndarray
+) -> estimators.Estimate:
+    """Estimate Z_c / Z_0 as `summarise` does: where trajectories share ancestors, by islands.
+
+    Args:
+      log_weight: [N] nats; -inf for trajectories to be left out.
+      violations: [N, ceil(H / 8)] packed bits.
+      num_hypotheses: H.
+      ancestor: [N] index of the trajectory at the start from which each trajectory descends.
+    """
+    estimate = estimators.avoid_probability(log_weight, violations, num_hypotheses)
+    if are_independent(ancestor):
+        return estimate
+    variance = _of_islands(log_weight, violations, num_hypotheses).variance()
+    return estimate._replace(avoid_variance=variance)
+
+
 def _of_islands(
-    log_weight: np.ndarray, violations: np.ndarray, problem: ProblemRecord
+    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int
 ) -> estimators.Parts:
     """Return the weight of each island of a task, and the part that avoids each hypothesis."""
     sizes = [len(part) for part in islands(len(log_weight))]
     group = np.repeat(np.arange(len(sizes)), sizes)
-    return estimators.parts(log_weight, violations, len(problem.hypotheses), group)
+    return estimators.parts(log_weight, violations, num_hypotheses, group)
 
 
 def _log_mean(log_weight: np.ndarray) -> float:

@@ -20,7 +20,8 @@ import numpy as np
 from swerve.base.space import Task
 from swerve.evidence import estimators
 from swerve.evidence.estimators import LogRatio
-from swerve.evidence.samples import islands
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.samples import estimated
 from swerve.hypotheses.bits import blocks, bytes_of, num_bits, select_one
 from swerve.inference.ranking import Ranking
 
@@ -108,10 +109,7 @@ class SampledConditional:
         evidence = self._evidence
         for k in np.flatnonzero(self._is_counted[:, index]).tolist():
             if k not in self._avoiding:
-                avoid = evidence.summary.avoid_probability[k]
-                bits = evidence.samples.violations[k]
-                ancestor = evidence.samples.ancestor[k]
-                self._avoiding[k] = Avoiding(evidence.log_weight[k], bits, avoid, ancestor)
+                self._avoiding[k] = Avoiding(evidence, k)
             self._avoiding[k].put_in_force(index)
             self.log_ratio[k] = self._avoiding[k].log_ratio(self.log_ratio.shape[1])
 
@@ -128,30 +126,17 @@ class SampledConditional:
 
 
 class Avoiding:
-    """The trajectories of a task that avoid all constraints in force.
+    """The trajectories of a task that avoid all constraints in force."""
 
-    Args:
-      log_weight: [N] nats.
-      violations: [N, B] packed bits.
-      avoid_probability: [H] Z_c / Z_0 by all N trajectories.
-      ancestor: [N] index of the trajectory at the start from which each trajectory descends. Where
-        trajectories have common ancestors they depend on each other, and only islands are
-        independent.
-    """
-
-    def __init__(
-        self,
-        log_weight: np.ndarray,
-        violations: np.ndarray,
-        avoid_probability: np.ndarray,
-        ancestor: np.ndarray,
-    ) -> None:
-        self._log_weight, self._violations = log_weight, violations
-        self._are_independent = len(np.unique(ancestor)) == len(ancestor)
-        self._rows = np.flatnonzero(np.isfinite(log_weight))
+    def __init__(self, evidence: Evidence, task: int) -> None:
+        self._evidence, self._task = evidence, task
+        self._log_weight = evidence.log_weight[task]
+        self._violations = evidence.samples.violations[task]
+        self._rows = np.flatnonzero(np.isfinite(self._log_weight))
         self._weigh()
-        self._entered = np.zeros(num_bits(violations))
-        self._entered[: len(avoid_probability)] = 1.0 - avoid_probability
+        self._entered = np.zeros(num_bits(self._violations))
+        avoid = evidence.avoid_probability_by_samples(task)
+        self._entered[: len(avoid)] = 1.0 - avoid
 
     def _weigh(self) -> None:
         """Weigh the trajectories that are left, so that their weights sum to 1.
@@ -198,38 +183,22 @@ class Avoiding:
 
     @property
     def _resolution(self) -> float:
-        return 1.0 / estimators.effective_sample_size(self._log_weight[self._rows])
+        return self._evidence.resolution_among(self._task, self._rows)
 
     def refined(self, columns: np.ndarray) -> LogRatio:
         """Return log ratios and errors [8 M] of the hypotheses of M bytes, eight in each byte."""
         num_hypotheses = 8 * len(columns)
         if not len(self._rows):  # no trajectory is left to estimate the ratios
             return LogRatio(np.zeros(num_hypotheses), np.full(num_hypotheses, np.inf))
-        estimate = estimators.avoid_probability(
-            self._log_weight[self._rows],
-            self._violations[self._rows[:, None], columns],
+        left = np.full(len(self._log_weight), -np.inf)
+        left[self._rows] = self._log_weight[self._rows]
+        estimate = estimated(
+            left,
+            self._violations[:, columns],
             num_hypotheses,
+            self._evidence.samples.ancestor[self._task],
         )
-        if not self._are_independent:
-            variance = self._island_variance(columns)
-            estimate = estimate._replace(avoid_variance=variance)
         return estimators.log_ratio(estimate, self._resolution)
-
-    def _island_variance(self, columns: np.ndarray) -> np.ndarray:
-        """Return the variance [8 M] of the probabilities of M bytes, by the spread over islands.
-
-        The variance is infinite if all trajectories that are left are of one island.
-        """
-        num = len(self._log_weight)
-        island_of = np.zeros(num, int)
-        for number, island in enumerate(islands(num)):
-            island_of[island] = number
-        log_weight = np.full(num, -np.inf)
-        log_weight[self._rows] = self._log_weight[self._rows]
-        if len(np.unique(island_of[self._rows])) < 2:
-            return np.full(8 * len(columns), np.inf)
-        bits = self._violations[:, columns]
-        return estimators.parts(log_weight, bits, 8 * len(columns), island_of).variance()
 
 
 class ExactConditional:

@@ -11,8 +11,14 @@ hypothesis c of the largest gain log L(C + c) - log L(C). With eps = 0 the gain 
     - sum_d log P(avoid c | avoid C)    over the c that no demonstration enters,
 
 which is D times the decrease of KL(demonstrations || pi_C), see `fitting.rewards.divergence`.
-Picking ends when the gain falls below a threshold, or when one more constraint is less probable
-than no further constraint.
+The posterior odds of one more constraint, whichever it is, against no further constraint are
+
+    o sum_c prior(c) L(C + c) / L(C) / sum_c prior(c),    c not picked,
+
+with prior odds o. L(C + c) is 0 where a demonstration rules c out, and where no trajectory of a
+task avoids both C and c. Picking ends when these odds fall below 1, or instead when the gain falls
+below a threshold. For the first pick the odds are (1 - P(none)) / P(none) of the posterior, so that
+a constraint is picked if and only if P(none) is at most 1/2.
 
 Shapes: K tasks, H hypotheses, D demonstrations, M hypotheses asked for.
 """
@@ -20,12 +26,13 @@ Shapes: K tasks, H hypotheses, D demonstrations, M hypotheses asked for.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from swerve.base.arguments import number_or_nan, positive_number, whole_number
-from swerve.evidence.estimators import LogRatio
+from swerve.evidence.estimators import LogRatio, joint_error
 from swerve.inference import likelihood, posterior
 from swerve.inference.conditional import Conditional, conditional
 from swerve.inference.ranking import Ranking, check_ranking
@@ -51,7 +58,7 @@ class Pick(NamedTuple):
       log_partition: [K] log Z_C with this pick and all earlier picks in force, nats.
       total_gain: gain of all demonstrations together, nats.
       log_odds: log posterior odds, nats, of one more constraint (any hypothesis) against no further
-        constraint, at the time of the pick; with prior odds of 1 unless given.
+        constraint, at the time of the pick.
     """
 
     hypothesis: int
@@ -62,59 +69,109 @@ class Pick(NamedTuple):
     log_odds: float
 
 
+class Picks(list[Pick]):
+    """The picks of greedy selection in order, and why it ended.
+
+    Attributes:
+      ended: why picking ended: "most" (as many as asked for), "odds" (one more constraint is less
+        probable than no further constraint), "threshold" (no hypothesis gains enough), or
+        "exhausted" (no hypothesis that is left gains anything).
+      following: the pick that would have been next; None after "most" and "exhausted".
+      threshold: least gain of a pick that was asked for [nats per demonstration], or None.
+    """
+
+    def __init__(
+        self,
+        picks: Iterable[Pick],
+        ended: Literal["most", "odds", "threshold", "exhausted"],
+        following: Pick | None,
+        threshold: float | None,
+    ) -> None:
+        super().__init__(picks)
+        self.ended, self.following, self.threshold = ended, following, threshold
+
+
 def greedy(
     inference: Ranking,
     nominal: ExactNominal | None = None,
     *,
-    threshold: float = likelihood.THRESHOLD,
+    threshold: float | None = None,
     odds: float | None = None,
     most: int | None = None,
-) -> list[Pick]:
+) -> Picks:
     """Pick constraints one after another, as long as each pick explains enough.
+
+    What is enough is told by the posterior odds of one more constraint, whichever it is, against no
+    further constraint, by a least gain in nats, or by both.
 
     Args:
       inference: inference from `infer`; its tolerance, margin, clearance and prior hold for every
         pick. The trajectories of its evidence are reweighed for the picks in force. Ratios from
-        `resolve` count for the first pick; later picks use the trajectories alone.
+        `resolve` count for the first pick; later picks use the trajectories alone. A hypothesis
+        whose prior is 0 is not picked.
       nominal: if the evidence is exact, the nominal distribution that the evidence came from. It is
         solved again with the picks in force.
-      threshold: least gain of a pick [nats per demonstration].
-      odds: prior odds of one more constraint against no further constraint; picking then also ends
-        when the posterior odds are below 1. The posterior odds are the prior odds times the mean of
-        exp(total gain) over the hypotheses not yet picked, weighted by their prior; struck-out
-        hypotheses count as 0. None leaves this rule out.
+      threshold: least gain of a pick [nats per demonstration]. With a threshold the odds end
+        picking only if they are given too.
+      odds: prior odds of one more constraint against no further constraint, at every pick; picking
+        ends when the posterior odds are below 1. If None, the odds of the inference's prior,
+        (1 - P(none)) / P(none), so that the first pick agrees with the inference's posterior.
       most: largest number of picks; no limit if None.
 
     Returns:
-      The picks, in order. Warnings about the samples are in `inference.warnings`.
+      The picks, in order, and why picking ended. Warnings about the samples are in
+      `inference.warnings`.
 
     Raises:
       ValueError: if there is no demonstration, the threshold is no number >= 0, the odds are not
         above 0, or the evidence is exact and the nominal distribution is not given.
     """
     check_ranking(inference)
-    expected = "a number >= 0 (nats a demonstration)"
-    if not 0.0 <= number_or_nan(threshold) < math.inf:
-        raise ValueError(f"threshold: expected {expected}, got {threshold}")
-    log_prior_odds = 0.0 if odds is None else math.log(positive_number(odds, "odds"))
+    threshold = checked_threshold(threshold)
+    log_prior_odds = _log_prior_odds(inference, odds)
+    is_by_odds = threshold is None or odds is not None
     most = None if most is None else whole_number(most, "most", 1)
     ratios, in_force = conditional(inference, nominal), InForce(inference)
     picks: list[Pick] = []
     while most is None or len(picks) < most:
         if picks:
             ratios.add(picks[-1].hypothesis)
-        pick = _best(inference, in_force, ratios)
-        if pick is None or pick.gain < max(threshold, TIED):
-            break
-        pick = pick._replace(log_odds=pick.log_odds + log_prior_odds)
-        if odds is not None and pick.log_odds < 0.0:
-            break
+        pick = _best(inference, in_force, ratios, log_prior_odds)
+        if pick is None or pick.gain < TIED:
+            return Picks(picks, "exhausted", None, threshold)
+        if threshold is not None and pick.gain < threshold:
+            return Picks(picks, "threshold", pick, threshold)
+        if is_by_odds and pick.log_odds < 0.0:
+            return Picks(picks, "odds", pick, threshold)
         in_force.add(pick.hypothesis, pick.log_partition)
         picks.append(pick)
-    return picks
+    return Picks(picks, "most", None, threshold)
 
 
-def _best(inference: Ranking, in_force: InForce, ratios: Conditional) -> Pick | None:
+def checked_threshold(threshold: float | None) -> float | None:
+    """Return the least gain of a pick [nats per demonstration] after checking it; None for none.
+
+    Raises:
+      ValueError: if the threshold is no number >= 0.
+    """
+    expected = "a number >= 0 (nats a demonstration)"
+    if threshold is not None and not 0.0 <= number_or_nan(threshold) < math.inf:
+        raise ValueError(f"threshold: expected {expected}, got {threshold}")
+    return threshold
+
+
+def _log_prior_odds(inference: Ranking, odds: float | None) -> float:
+    """Return the log prior odds of one more constraint against no further constraint."""
+    if odds is not None:
+        return math.log(positive_number(odds, "odds"))
+    none = float(inference.prior[0])
+    with np.errstate(divide="ignore"):
+        return float(np.log(1.0 - none) - np.log(none))
+
+
+def _best(
+    inference: Ranking, in_force: InForce, ratios: Conditional, log_prior_odds: float
+) -> Pick | None:
     """Return the hypothesis of the largest gain among those left; None if no gain is above 0."""
     num = in_force.num_demonstrations
     total_gain = in_force.gains(ratios.log_ratio)
@@ -135,7 +192,7 @@ def _best(inference: Ranking, in_force: InForce, ratios: Conditional) -> Pick | 
         log_partition=in_force.log_partition
         + np.where(inference.is_counted[:, index], log_ratio.value, 0.0),
         total_gain=gain,
-        log_odds=in_force.log_bayes_factor(total_gain),
+        log_odds=in_force.log_odds(total_gain, log_prior_odds),
     )
 
 
@@ -153,7 +210,8 @@ class InForce:
         self._is_picked = np.zeros(len(inference.struck_out), bool)
         self._is_obeyed = np.ones(len(inference.demonstrations), bool)
         self._counts = inference.counts
-        self.left = ~inference.struck_out
+        allowed = inference.prior[1:] > 0.0
+        self.left = ~inference.struck_out & (allowed | ~allowed.any())
         self.log_partition = inference.evidence.log_partition
         self.num_demonstrations = len(inference.demonstrations)
 
@@ -185,7 +243,7 @@ class InForce:
         return likelihood.Counts((num - entering) * is_counted, entering * is_counted)
 
     def gains(self, log_ratio: np.ndarray, indices: np.ndarray | None = None) -> np.ndarray:
-        """Return log L(C + c) - log L(C) [M], nats; infinite where no trajectory can avoid c.
+        """Return log L(C + c) - log L(C) [M], nats; -inf where no trajectory avoids C and c.
 
         A demonstration that already enters C adds no gain. A demonstration that avoids C and c adds
         more gain, the fewer of the trajectories that avoid C also avoid c. The likelihood of a
@@ -196,40 +254,40 @@ class InForce:
           indices: [M] the hypotheses of these ratios; all hypotheses if None.
         """
         tolerance = self._inference.tolerance
-        counts = self._counts_at(indices)
+        counts, is_used = self._counts, self._inference.is_used
+        if indices is not None:
+            counts = likelihood.Counts(*(values[:, indices] for values in counts))
+            is_used = is_used[:, indices]
+        impossible = (np.isneginf(log_ratio) & is_used).any(axis=0)
         before = likelihood.avoiding_term(self._log_share, tolerance)[:, None]
-        log_ratio = np.where(counts.avoiding > 0, log_ratio, 0.0)  # unused ratios may be infinite
+        is_needed = (counts.avoiding > 0) & ~impossible
+        log_ratio = np.where(is_needed, log_ratio, 0.0)  # unused ratios may be infinite
         after = likelihood.avoiding_term(self._log_share[:, None] + log_ratio, tolerance)
         gain = counts.avoiding * (after - before)
         if tolerance > 0.0:
             gain = gain + counts.entering * (math.log(tolerance) - before)
-        return gain.sum(axis=0)
-
-    def _counts_at(self, indices: np.ndarray | None) -> likelihood.Counts:
-        if indices is None:
-            return self._counts
-        return likelihood.Counts(*(values[:, indices] for values in self._counts))
+        return np.where(impossible, -np.inf, gain.sum(axis=0))
 
     def gain_error(self, index: int, log_ratio: LogRatio) -> float:
         """Return the standard error of the gain of one more hypothesis, given its log ratios."""
-        used = self._counts.avoiding[:, index] > 0  # unused ratios and errors may be infinite
-        num, log_share = self._counts.avoiding[used, index], self._log_share[used]
-        slope = likelihood.sensitivity(log_share + log_ratio.value[used], self._inference.tolerance)
-        return float(np.linalg.norm(num * slope * log_ratio.standard_error[used]))
+        num, sample_of = self._counts.avoiding[:, index], self._inference.evidence.sample_of
+        used = num > 0  # unused ratios and errors may be infinite
+        value = self._log_share[used] + log_ratio.value[used]
+        slope = likelihood.sensitivity(value, self._inference.tolerance)
+        error = num[used] * slope * log_ratio.standard_error[used]
+        return float(joint_error(error, sample_of[used]))
 
     def near_best(self, total_gain: np.ndarray) -> np.ndarray:
         """Return the hypotheses [M] whose gain is near the largest; none if no gain is above 0."""
-        gain = np.where(self.left & np.isfinite(total_gain), total_gain, -np.inf)
+        gain = np.where(self.left, total_gain, -np.inf)
         gain = gain / self.num_demonstrations
         best = float(gain.max())
         if best < 0.5 * TIED:
             return np.zeros(0, int)
         return np.flatnonzero(gain >= best - max(NEAR * best, 2.0 * TIED))
 
-    def log_bayes_factor(self, total_gain: np.ndarray) -> float:
-        """Return log P(demonstrations | C and one more pick) / P(demonstrations | C), nats."""
+    def log_odds(self, total_gain: np.ndarray, log_prior_odds: float) -> float:
+        """Return the log posterior odds of one more pick against no further pick, nats."""
         prior = np.where(np.r_[False, self._is_picked], 0.0, self._inference.prior)
-        if not prior[1:].any():
-            return -math.inf
-        gain = np.where(self.left & np.isfinite(total_gain), total_gain, -np.inf)
-        return posterior.log_bayes_factor(gain, prior)
+        gain = np.where(self.left, total_gain, -np.inf)
+        return posterior.log_bayes_factor(gain, prior) + log_prior_odds

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swerve.evidence import estimators
+from swerve.evidence.evidence import Evidence
+from swerve.evidence.samples import estimated
 from swerve.hypotheses.bits import select
 from swerve.inference import likelihood
 from swerve.inference.conditional import conditional
@@ -59,8 +61,9 @@ def best_pair(inference: Ranking, nominal: ExactNominal | None = None) -> Pair:
     hypotheses that explain anything. An exact solver solves once for each such hypothesis.
 
     Args:
-      inference: inference from `infer`; its tolerance, margin and clearance hold for the pair. With
-        sampled evidence the trajectories alone count, not the ratios from `resolve`.
+      inference: inference from `infer`; its tolerance, margin and clearance hold for the pair. The
+        trajectories of sampled evidence are weighed for every pair; a ratio from `resolve` bounds
+        the ratio of the hypothesis's pairs.
       nominal: if the evidence is exact, the nominal distribution that the evidence came from.
 
     Raises:
@@ -88,15 +91,11 @@ def best_pair(inference: Ranking, nominal: ExactNominal | None = None) -> Pair:
 def _of_samples(inference: Ranking, pair: tuple[int, int]) -> Pair:
     """Return a pair with its log-likelihood by the samples."""
     evidence, indices = inference.evidence, np.array(pair)
-    found = []
-    for k, log_weight in enumerate(evidence.log_weight):
-        counted = indices[inference.is_counted[k, indices]]
-        bits = select(evidence.samples.violations[k], counted)
-        entered = bits.any(axis=1).astype(np.uint8)[:, None]
-        estimate = estimators.avoid_probability(log_weight, entered, 1)
-        resolution = 1.0 / estimators.effective_sample_size(log_weight)
-        found.append([x[0] for x in estimators.log_ratio(estimate, resolution)])
-    log_share, error = np.array(found).T
+    ratios = [
+        _ratio_of_samples(evidence, k, indices[inference.is_counted[k, indices]])
+        for k in range(evidence.num_tasks)
+    ]
+    log_share, error = np.array(ratios).T
     enters = inference.entered[:, indices] & inference.is_counted[inference.task_of][:, indices]
     avoids = ~enters.any(axis=1)
     num = np.bincount(inference.task_of[avoids], minlength=evidence.num_tasks)
@@ -104,8 +103,33 @@ def _of_samples(inference: Ranking, pair: tuple[int, int]) -> Pair:
     if inference.tolerance > 0.0:
         value += np.count_nonzero(~avoids) * math.log(inference.tolerance)
     slope = likelihood.sensitivity(log_share, inference.tolerance)
-    spread = float(np.linalg.norm(num * slope * error))
+    error = np.where(num > 0, error, 0.0)  # unused ratios may have no error
+    spread = float(estimators.joint_error(num * slope * error, evidence.sample_of))
     return Pair(pair, float(value), spread, evidence.log_partition + log_share)
+
+
+def _ratio_of_samples(evidence: Evidence, task: int, counted: np.ndarray) -> tuple[float, float]:
+    """Return log Z_C / Z_0 of a task and its standard error, nats, with hypotheses C in force.
+
+    Hardly any trajectory avoids a hypothesis that was resolved, so trajectories cannot tell how
+    many of these avoid another hypothesis as well. Z_C is at most the Z_c of each, so the lowest
+    ratio is taken.
+
+    Args:
+      evidence: sampled evidence.
+      task: number of the task.
+      counted: [C] indices of the hypotheses that count for the task.
+    """
+    if not len(counted):
+        return 0.0, 0.0
+    if evidence.is_resolved[task, counted].any():
+        least = counted[evidence.log_ratio[task, counted].argmin()]
+        return float(evidence.log_ratio[task, least]), float(evidence.standard_error[task, least])
+    samples = evidence.samples
+    entered = select(samples.violations[task], counted).any(axis=1).astype(np.uint8)[:, None]
+    estimate = estimated(evidence.log_weight[task], entered, 1, samples.ancestor[task])
+    ratio = estimators.log_ratio(estimate, evidence.resolution[task])
+    return float(ratio.value[0]), float(ratio.standard_error[0])
 
 
 def _exactly(inference: Ranking, nominal: ExactNominal, ordered: np.ndarray) -> Pair:
@@ -149,9 +173,11 @@ class _Samples:
         self._is_counted = inference.is_counted[:, ordered]
         violation = evidence.violation_probability[:, ordered]
         self._entered = np.where(self._is_counted, violation, 0.0)
+        self._alone = np.where(self._is_counted, evidence.log_ratio[:, ordered], 0.0)
+        self._is_resolved = self._is_counted & evidence.is_resolved[:, ordered]
         self._bits = evidence.samples.violations
         self._weight = [estimators.normalise(row) for row in evidence.log_weight]
-        self._least = [1.0 / estimators.effective_sample_size(row) for row in evidence.log_weight]
+        self._least = evidence.resolution
         enters = inference.entered[:, ordered] & self._is_counted[inference.task_of]
         self._avoids = [~enters[inference.task_of == k] for k in range(evidence.num_tasks)]
 
@@ -164,21 +190,33 @@ class _Samples:
         bound = np.zeros(len(rows))
         for k in self.tasks:
             share = 1.0 - self._entered[k, rows] - self._entered[k, columns].max()
-            bound += self._value(k, share, np.count_nonzero(self._avoids[k][:, rows], axis=0))
+            alone = np.minimum(self._alone[k, rows], self._alone[k, columns].min())
+            log_share = np.minimum(np.log(np.maximum(share, self._least[k])), alone)
+            num_avoiding = np.count_nonzero(self._avoids[k][:, rows], axis=0)
+            bound += self._value(k, log_share, num_avoiding)
         return bound
 
     def bound(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return an upper bound [R, C] of the log-likelihood of pairs by one task, nats."""
         entered = self._entered[k]
-        share = 1.0 - entered[rows, None] - entered[columns]
-        return self._value(k, share, self._num_avoiding(k, rows, columns))
+        log_share = self._log_share(k, rows, columns, 1.0 - entered[rows, None] - entered[columns])
+        return self._value(k, log_share, self._num_avoiding(k, rows, columns))
 
     def value(self, k: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the log-likelihood [R, C] of pairs by one task, nats."""
         entered, weight = self._entered[k], self._weight[k][:, None]
         both = (self._unpacked(k, rows) * weight).T @ self._unpacked(k, columns)
         share = 1.0 - entered[rows, None] - entered[columns] + both
-        return self._value(k, share, self._num_avoiding(k, rows, columns))
+        log_share = self._log_share(k, rows, columns, share)
+        return self._value(k, log_share, self._num_avoiding(k, rows, columns))
+
+    def _log_share(
+        self, k: int, rows: np.ndarray, columns: np.ndarray, share: np.ndarray
+    ) -> np.ndarray:
+        """Return log Z_ab / Z_0 [R, C] from the shares of trajectories; see `_ratio_of_samples`."""
+        lower = np.minimum(self._alone[k, rows, None], self._alone[k, columns])
+        resolved = self._is_resolved[k, rows, None] | self._is_resolved[k, columns]
+        return np.where(resolved, lower, np.log(np.maximum(share, self._least[k])))
 
     def _unpacked(self, k: int, places: np.ndarray) -> np.ndarray:
         """Return [N, R] 1 where a trajectory enters a hypothesis that counts for the task."""
@@ -190,8 +228,8 @@ class _Samples:
         avoids = self._avoids[k].astype(np.float64)
         return avoids[:, rows].T @ avoids[:, columns]
 
-    def _value(self, k: int, share: np.ndarray, num_avoiding: np.ndarray) -> np.ndarray:
-        log_share = np.log(np.maximum(share, self._least[k]))
+    def _value(self, k: int, log_share: np.ndarray, num_avoiding: np.ndarray) -> np.ndarray:
+        """Return the log-likelihood of pairs by one task, nats."""
         value = num_avoiding * likelihood.avoiding_term(log_share, self._tolerance)
         if self._tolerance > 0.0:
             value += (self._task_counts[k] - num_avoiding) * math.log(self._tolerance)

@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from swerve.base.arguments import number_or_nan
+from swerve.evidence.estimators import joint_error
+from swerve.evidence.evidence import Evidence
 from swerve.inference import likelihood
 from swerve.inference.scores import Scores
 
@@ -175,7 +177,8 @@ def of_scores(scores: Scores) -> Posterior:
 
     Without demonstrations the posterior is the prior. Standard errors come from leaving out one
     island of the samples after another, for all tasks at once. Ratios that were sampled with the
-    constraint in force, and bounds, contribute their own errors.
+    constraint in force contribute the error of Z_c of their own, and share the error of Z_0, which
+    the islands tell. Bounds contribute their own errors.
     """
     evidence = scores.evidence
     if not scores.demonstrations:
@@ -186,20 +189,39 @@ def of_scores(scores: Scores) -> Posterior:
     if evidence.is_exact:
         return Posterior(float(value[0]), 0.0, value[1:], np.zeros(len(value) - 1))
     used = scores.is_used[tasks]
-    has_own_error = (evidence.is_resolved | evidence.is_floored)[tasks] & used
+    is_resolved = evidence.is_resolved[tasks] & used
+    has_own_error = is_resolved | evidence.is_floored[tasks] & used
     # one island may hold all trajectories that avoid c: without this island the probability is
     # at least one trajectory's share
     without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
     without = np.maximum(without, evidence.resolution[tasks][:, None])
     from_islands = np.log(np.where(used & ~has_own_error, without, 1.0))
-    log_ratio = np.where(has_own_error, scores.finite_log_ratio[tasks], from_islands)
+    gained = _gained_without_islands(evidence)[:, tasks, None]
+    own_ratio = scores.finite_log_ratio[tasks] + np.where(is_resolved, gained, 0.0)
+    log_ratio = np.where(has_own_error, own_ratio, from_islands)
     counts = likelihood.Counts(*(part[tasks] for part in scores.counts))
     log_likelihood = likelihood.log_likelihood(log_ratio, counts, scores.tolerance)
     log_likelihood = np.where(scores.struck_out, -np.inf, log_likelihood)
     island_error = jackknife_error(posterior(log_likelihood, scores.prior))
-    own = scores.sensitivity[tasks] * evidence.standard_error[tasks] * has_own_error
-    error = np.hypot(island_error, _propagated_error(value, (own**2).sum(axis=0)))
+    of_partition = np.where(is_resolved, evidence.log_partition_error[tasks][:, None], 0.0)
+    variance = np.maximum(evidence.standard_error[tasks] ** 2 - of_partition**2, 0.0)
+    own = scores.sensitivity[tasks] * np.sqrt(np.where(has_own_error, variance, 0.0))
+    own = joint_error(own, evidence.sample_of[tasks])
+    error = np.hypot(island_error, _propagated_error(value, own**2))
     return Posterior(float(value[0]), float(error[0]), value[1:], error[1:])
+
+
+def _gained_without_islands(evidence: Evidence) -> np.ndarray:
+    """Return log Z_0 minus log Z_0 without one island each [I, K], nats.
+
+    Without one island Z_0 is at least one trajectory's share of Z_0.
+    """
+    log_partition = evidence.island_log_partition.T
+    largest = np.maximum(log_partition.max(axis=0), np.finfo(float).min)
+    weight = np.exp(log_partition - largest)
+    mean, num = weight.mean(axis=0), len(weight)
+    others = (weight.sum(axis=0) - weight) / (num - 1)
+    return np.log(mean) - np.log(np.maximum(others, evidence.resolution * mean))
 
 
 def _propagated_error(value: np.ndarray, variance: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.estimators import joint_error
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.base import HypothesisSet
 from swerve.inference import likelihood
@@ -108,8 +109,14 @@ class Scores:
 
     @cached_property
     def standard_error(self) -> np.ndarray:
-        """[H] standard error of `log_likelihood` [nats]; tasks are sampled independently."""
-        return np.sqrt((self.sensitivity**2 * self.evidence.standard_error**2).sum(axis=0))
+        """[H] standard error of `log_likelihood` [nats]; tasks that differ are independent."""
+        return joint_error(self._likelihood_error, self.evidence.sample_of)
+
+    @property
+    def _likelihood_error(self) -> np.ndarray:
+        """[K, H] amount that a task adds to `standard_error`; unused ratios may have no error."""
+        error = np.where(self.sensitivity > 0.0, self.evidence.standard_error, 0.0)
+        return self.sensitivity * error
 
     @cached_property
     def average_violation(self) -> np.ndarray:
@@ -154,12 +161,13 @@ class Scores:
     def task_error(self) -> np.ndarray:
         """[K, H] amount that a task's demonstrations add to the standard error of `score`."""
         if self.score_name == "likelihood":
-            return self.sensitivity * self.evidence.standard_error
+            return self._likelihood_error
         num = self.task_counts[:, None] * self.is_counted
         share = num / np.maximum(num.sum(axis=0), 1)
-        return np.asarray(share * np.sqrt(self.evidence.summary.avoid_variance))
+        error = np.sqrt(np.where(num > 0, self.evidence.summary.avoid_variance, 0.0))
+        return np.asarray(share * error)
 
     @cached_property
     def score_error(self) -> np.ndarray:
-        """[H] standard error of `score`; tasks are sampled independently."""
-        return np.linalg.norm(self.task_error, axis=0)
+        """[H] standard error of `score`; tasks that differ are independent."""
+        return joint_error(self.task_error, self.evidence.sample_of)

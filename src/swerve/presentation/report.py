@@ -19,7 +19,7 @@ from swerve.base.phrases import counted, cut, ended, probability, times
 from swerve.base.version import VERSION
 from swerve.constraints.boxes import interval_name
 from swerve.hypotheses.grid import GridHypotheses
-from swerve.inference.greedy import Pick
+from swerve.inference.greedy import Pick, Picks
 from swerve.inference.ranking import TIE_ERRORS, Ranking
 from swerve.presentation import html, plots, sentences
 from swerve.trust import doubts, verdicts
@@ -167,9 +167,11 @@ def _hypothesis_cells(inference: Ranking, row: int, index: int) -> tuple[str, ..
 
 def _several(inference: Ranking, picks: Sequence[Pick]) -> str:
     """Return what greedy selection picked, in order."""
+    ended = ""
+    if isinstance(picks, Picks):
+        ended = escape(f" Picking ended: {sentences.ended(inference, picks)}.")
     if not picks:
-        text = "No constraint explains enough to be picked."
-        return f"<h2>Several constraints</h2><p>{text}</p>"
+        return f"<h2>Several constraints</h2><p>No constraint was picked.{ended}</p>"
     rows = [
         (
             "",
@@ -197,7 +199,7 @@ def _several(inference: Ranking, picks: Sequence[Pick]) -> str:
     text = (
         "Constraints are picked one after another: each is the one that explains most while all "
         "earlier picks are in force. Log odds compare one more constraint, whichever it is, with "
-        "no more constraint, just before the pick."
+        f"no more constraint, just before the pick.{ended}"
     )
     table = html.table(head, rows, {0: "", 2: "name"})
     return f"<h2>Several constraints</h2><p>{text}</p>{table}"

@@ -5,6 +5,9 @@ score ± standard error,    to the first digit of the error
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from swerve.base.phrases import counted, cut, measured, plural, probability, times
@@ -12,6 +15,9 @@ from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.inference.ranking import TIE_ERRORS, Ranking
 from swerve.trust import doubts, verdicts
+
+if TYPE_CHECKING:
+    from swerve.inference.greedy import Picks
 
 NUM_NAMED = 6  # hypotheses named in a list of hypotheses, before the others are counted
 MAX_NAME = 120  # characters of a hypothesis and its name in a sentence
@@ -95,6 +101,34 @@ def belief(inference: Ranking) -> str:
     if len(credible.hypotheses):
         names.append(_numbered(inference, credible.hypotheses.tolist()))
     return f"{', '.join(parts)}; 95 % credible set: {' or '.join(names)}."
+
+
+def ended(inference: Ranking, picks: Picks) -> str:
+    """Return why greedy selection ended, what would have come next, and what to give to go on."""
+    if picks.ended == "most":
+        return f"as many as asked for: {len(picks)}"
+    following = picks.following
+    if following is None:
+        return f"no {'other ' if picks else ''}hypothesis explains anything{' more' * bool(picks)}"
+    one, other, than = ("one more", "other ", "no more") if picks else ("one", "", "none")
+    if picks.ended == "odds":
+        why = f"{one} constraint, whichever it is, is less probable than {than}"
+    else:
+        why = (
+            f"no {other}constraint explains {picks.threshold:g} nats per demonstration, the "
+            "threshold"
+        )
+    return (
+        f"{why}; next would be {short_hypothesis(inference, following.hypothesis)}, for "
+        f"{following.total_gain:.2f} nats, {following.gain:.3f} per demonstration, at log odds "
+        f"{following.log_odds:.2f} (--threshold {_rounded_down(following.gain):g} picks it)"
+    )
+
+
+def _rounded_down(value: float) -> float:
+    """Return a number above 0 rounded down to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return unit * math.floor(value / unit)
 
 
 def settings(inference: Ranking) -> str:

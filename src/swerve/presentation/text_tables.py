@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swerve.inference.likelihood import THRESHOLD
 from swerve.inference.ranking import Ranking
 from swerve.presentation import sentences
 from swerve.trust import verdicts
 
 if TYPE_CHECKING:
-    from swerve.inference.greedy import Pick
+    from swerve.inference.greedy import Pick, Picks
     from swerve.inference.posterior import Posterior
 
 
@@ -65,7 +64,7 @@ def to_json(inference: Ranking, warnings: Sequence[str]) -> dict[str, Any]:
                 "index": int(index),
                 "name": inference.hypothesis_name(index),
                 "log_likelihood": float(inference.log_likelihood[index]),
-                "standard_error": float(inference.standard_error[index]),
+                "standard_error": _finite(float(inference.standard_error[index])),
                 "is_lower_bound": bool(inference.is_lower_bound[index]),
                 "average_violation": float(inference.average_violation[index]),
                 "posterior": posterior and float(posterior.hypotheses[index]),
@@ -80,17 +79,11 @@ def to_json(inference: Ranking, warnings: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def picks_table(inference: Ranking, picks: Sequence[Pick], most: int) -> str:
-    """Return the picks of greedy selection in order, and why it ended, as text.
-
-    Args:
-      inference: the ranking from which the constraints were picked.
-      picks: the result of `swerve.greedy`.
-      most: the most picks that were asked for.
-    """
-    enough = f"{THRESHOLD:g} nats per demonstration, the least gain of a pick"
+def picks_table(inference: Ranking, picks: Picks) -> str:
+    """Return the picks of greedy selection in order, and why it ended, as text."""
+    ended = sentences.ended(inference, picks)
     if not picks:
-        return f"no constraint explains {enough}"
+        return f"nothing picked: {ended}"
     columns = f"{'nats':>8} {'per demo':>8} {'+-':>6}  {'log odds':>8}"
     lines = [f"{'pick':>5} {'index':>6}  {columns}  hypothesis"]
     for number, pick in enumerate(picks, 1):
@@ -99,26 +92,29 @@ def picks_table(inference: Ranking, picks: Sequence[Pick], most: int) -> str:
             f"{pick.standard_error:>6.3f}  {pick.log_odds:>8.2f}  "
             f"{inference.hypothesis_name(pick.hypothesis)}"
         )
-    ended = f"as many as asked for: {most}"
-    lines.append(
-        f"      {ended if len(picks) == most else f'no other constraint explains {enough}'}"
-    )
-    return "\n".join(lines)
+    return "\n".join([*lines, f"      {ended}"])
 
 
-def picks_to_json(inference: Ranking, picks: Sequence[Pick]) -> list[dict[str, Any]]:
-    """Return the picks of greedy selection in order; infinite numbers become null."""
-    return [
-        {
-            "index": pick.hypothesis,
-            "name": inference.hypothesis_name(pick.hypothesis),
-            "total_gain": pick.total_gain,
-            "gain": pick.gain,
-            "standard_error": _finite(pick.standard_error),
-            "log_odds": _finite(pick.log_odds),
-        }
-        for pick in picks
-    ]
+def picks_to_json(inference: Ranking, picks: Picks) -> dict[str, Any]:
+    """Return the picks of greedy selection in order, and why it ended; null for infinite numbers.
+
+    After "odds" and "threshold", the entry "next" is the pick that would have followed.
+    """
+    following = picks.following and _pick_to_json(inference, picks.following)
+    ended = {"why": picks.ended, "threshold": picks.threshold, "next": following}
+    return {"greedy": [_pick_to_json(inference, pick) for pick in picks], "greedy_ended": ended}
+
+
+def _pick_to_json(inference: Ranking, pick: Pick) -> dict[str, Any]:
+    """Return one pick as JSON data; infinite numbers become null."""
+    return {
+        "index": pick.hypothesis,
+        "name": inference.hypothesis_name(pick.hypothesis),
+        "total_gain": pick.total_gain,
+        "gain": pick.gain,
+        "standard_error": _finite(pick.standard_error),
+        "log_odds": _finite(pick.log_odds),
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -116,8 +116,9 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
     if not isinstance(tasks, Iterable):
         raise ValueError(f"tasks: expected swerve.Task(start, goal), got {tasks!r}")
     batch = tasks if isinstance(tasks, Task) else Task.stack(list(tasks))
-    start = np.atleast_2d(np.asarray(batch.start, np.float64))
-    goal = np.asarray(batch.goal, np.float64).reshape(len(start), -1)
+    # -0 becomes 0: tasks that are equal are sampled from equal random numbers
+    start = np.atleast_2d(np.asarray(batch.start, np.float64)) + 0.0
+    goal = np.asarray(batch.goal, np.float64).reshape(len(start), -1) + 0.0
     for label, values, names in (
         ("start", start, mdp.state_names),
         ("goal", goal, mdp.goal_names),
