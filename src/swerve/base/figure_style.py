@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend import Legend
 
 from swerve.base import files
 from swerve.base.phrases import wrapped
@@ -59,6 +60,12 @@ def open_sides(axes: Axes, size: float = 8.0) -> None:
     """Hide the top and right sides of axes; set the size [pt] of the numbers at the other sides."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=size)
+
+
+def plain(legend: Legend) -> None:
+    """Show the texts of a legend as they are: names of others may hold the signs of formulas."""
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def written(figure: Figure, path: str | Path | None) -> Figure:

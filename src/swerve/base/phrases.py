@@ -17,9 +17,9 @@ NUM_NAMES = 3  # names that are listed before the other names are only counted
 
 def some_names(names: Sequence[str]) -> str:
     """Return the first names and how many more there are: 'demo_1, demo_2, demo_3 and 30 more'."""
-    shown = ", ".join(names[:NUM_NAMES])
+    first = ", ".join(shown(name) for name in names[:NUM_NAMES])
     more = len(names) - NUM_NAMES
-    return f"{shown} and {more} more" if more > 0 else shown
+    return f"{first} and {more} more" if more > 0 else first
 
 
 def times(nats: float) -> str:
@@ -82,9 +82,14 @@ def shown(text: str) -> str:
     )
 
 
+def shown_lines(text: str) -> str:
+    """Return a text as it may be printed, with its line breaks."""
+    return "\n".join(map(shown, text.split("\n")))
+
+
 def cut(text: str, length: int) -> str:
-    """Return text on one line of at most `length` characters."""
-    text = " ".join(text.split())
+    """Return text on one line of at most `length` characters, without control characters."""
+    text = shown(" ".join(text.split()))
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
@@ -95,5 +100,6 @@ def ended(text: str) -> str:
 
 def wrapped(text: str, width: float, size: float) -> str:
     """Wrap text of a font size [pt] to lines of a width [in], with no break inside a value."""
+    text = shown(" ".join(text.split()))
     text = re.sub(r"(?<=,) (?=[^\s,]+\))| (?=±)|(?<=±) | (?=nats)", "\N{NO-BREAK SPACE}", text)
     return textwrap.fill(text, int(width * 72 / (0.6 * size)))

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from swerve.base.phrases import duration
+from swerve.base.phrases import duration, shown
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -136,7 +136,7 @@ def _lines(description: str, total: float) -> Iterator[Advance]:
 
 def _say(text: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # a closed log stops no work
-        sys.stderr.write(f"{text}\n")
+        sys.stderr.write(f"{shown(text)}\n")
         sys.stderr.flush()
 
 
@@ -154,20 +154,20 @@ def _bar(description: str, total: float, console: Console) -> Iterator[Advance]:
     from rich.table import Column
 
     columns = (
-        TextColumn("{task.description}", table_column=Column(no_wrap=True)),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
         BarColumn(bar_width=10, table_column=Column(min_width=10)),
         TaskProgressColumn(table_column=Column(min_width=4, no_wrap=True)),
         TimeElapsedColumn(table_column=Column(min_width=7, no_wrap=True)),
         TextColumn("left", table_column=Column(min_width=4, no_wrap=True)),
         TimeRemainingColumn(table_column=Column(min_width=7, no_wrap=True)),
-        TextColumn("{task.fields[note]}", table_column=Column(overflow="fold")),
+        TextColumn("{task.fields[note]}", markup=False, table_column=Column(overflow="fold")),
     )
     with Progress(*columns, console=console) as bar:
-        job = bar.add_task(description, total=total, note="")
+        job = bar.add_task(shown(description), total=total, note="")
 
         def advance(amount: float, note: str = "") -> None:
             bar.update(job, advance=amount)
             if note:
-                bar.update(job, note=note)
+                bar.update(job, note=shown(note))
 
         yield advance

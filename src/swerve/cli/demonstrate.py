@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from swerve.cli.options import ProblemText, TasksFile, open_work, say
+from swerve.cli.options import ProblemText, TasksFile, open_work, say, tell
+from swerve.cli.values import convert_limit
 
 if TYPE_CHECKING:
     from swerve.base.space import Task
@@ -30,7 +31,8 @@ class ControlOptions:
         float | None,
         Parameter(
             help="Of optimal-control: largest action in either direction, inf for any. [default: "
-            "the range of the MDP's actions]"
+            "the range of the MDP's actions]",
+            converter=convert_limit,
         ),
     ] = None
     num_steps: Annotated[
@@ -191,10 +193,10 @@ def _optimal(
 
 def _print_optima(optima: Sequence[Optimum]) -> None:
     """Print for each demonstration the best rewards and how many local optima were found."""
-    print(f"{'demonstration':<16} {'reward':>10} {'next best':>10} {'local optima':>13}")
+    tell(f"{'demonstration':<16} {'reward':>10} {'next best':>10} {'local optima':>13}")
     for optimum in optima:
         runner_up = f"{optimum.rewards[1]:.4g}" if len(optimum.rewards) > 1 else "-"
-        print(
+        tell(
             f"{optimum.demonstration.name:<16} {optimum.reward:>10.4g} {runner_up:>10} "
             f"{len(optimum.rewards):>13}"
         )

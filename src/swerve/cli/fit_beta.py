@@ -16,6 +16,7 @@ from swerve.cli.options import (
     open_work,
     read_files,
     say,
+    tell,
 )
 
 
@@ -50,4 +51,4 @@ def fit_beta(
     for warning in data_warnings(Ranking.of(evidence, found)):
         say(f"warning: {warning}")
     fitted = fit(job.problem, evidence, found, confidence)
-    print(json.dumps(fitted.to_json()) if as_json else fitted)
+    tell(json.dumps(fitted.to_json()) if as_json else fitted)

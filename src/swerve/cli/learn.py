@@ -18,6 +18,7 @@ from swerve.cli.options import (
     asked_tasks,
     open_work,
     say,
+    tell,
 )
 
 
@@ -61,7 +62,7 @@ def sample(
     if as_json:
         print(json.dumps({"num_trajectories": evidence.num_trajectories, "tasks": rows}))
         return
-    print(f"{phrases.counted(evidence.num_tasks, 'task')}, {sentences.samples(evidence)}")
+    tell(f"{phrases.counted(evidence.num_tasks, 'task')}, {sentences.samples(evidence)}")
     _print_table(rows)
     for warning in data_warnings(prior):
         say(f"warning: {warning}")
@@ -69,11 +70,9 @@ def sample(
 
 def _print_table(rows: list[dict[str, Any]]) -> None:
     """Print the diagnostics of each task, one row a task."""
-    print(
-        f"{'task':>4}  {'ESS':>8}  {'KL [nats]':>9}  {'log Z_0':>9}  {'spread':>6}  start -> goal"
-    )
+    tell(f"{'task':>4}  {'ESS':>8}  {'KL [nats]':>9}  {'log Z_0':>9}  {'spread':>6}  start -> goal")
     for k, row in enumerate(rows):
-        print(
+        tell(
             f"{k:>4}  {row['effective_sample_size']:>8.0f}  {row['kl']:>9.3f}  "
             f"{row['log_partition']:>9.3f}  {row['island_spread']:>6.3f}  "
             f"{_numbers(row['start'])} -> {_numbers(row['goal'])}"

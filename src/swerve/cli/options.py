@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from swerve.base.phrases import shown_lines
 from swerve.base.solver_kinds import solver_names
 
 if TYPE_CHECKING:
@@ -164,5 +165,10 @@ def asked_tasks(job: Work, demonstrations: list[Any], tasks: Path | None) -> Tas
 
 
 def say(text: str) -> None:
-    """Print a line to stderr; results alone go to stdout."""
-    print(text, file=sys.stderr)
+    """Print text to stderr; results alone go to stdout."""
+    print(shown_lines(text), file=sys.stderr)
+
+
+def tell(result: object) -> None:
+    """Print a result to stdout, as text without control characters: its names are of others."""
+    print(shown_lines(str(result)))

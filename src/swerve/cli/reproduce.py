@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from swerve.cli.options import AsJson, say
+from swerve.cli.options import AsJson, say, tell
 
 WORK = "work"  # folder in --out that keeps slow results
 KEEP_WORK = ("car", "double-pendulum", "pendulum")  # results with slow parts, which are kept
@@ -77,7 +77,7 @@ def reproduce(
     figures = importlib.import_module(f"swerve.reproduce.{package}.figures")
     arguments = _arguments(name, out, data)
     result = measure.reproduce(*arguments, is_quick=quick, seed=seed, progress=True)
-    print(json.dumps(measure.to_json(result)) if as_json else figures.text(result))
+    tell(json.dumps(measure.to_json(result)) if as_json else figures.text(result))
     if out is not None:
         _write(out, package, figures, result)
 

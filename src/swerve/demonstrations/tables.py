@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from swerve.base.files import open_regular
+from swerve.base.phrases import cut
 
+MAX_FOUND = 500  # characters of the column names that a message lists
 MAX_BYTES = 2**30  # bytes of a file of demonstrations or tasks: larger files are refused unread
 
 
@@ -52,11 +54,12 @@ def select_columns(
     if missing:
         raise ValueError(
             f"{path}: no column {', '.join(missing)}; expected {', '.join(needed)} in a first "
-            f"line of names separated by commas, found {', '.join(found)}"
+            f"line of names separated by commas, found {cut(', '.join(found), MAX_FOUND)}"
         )
     twice = [name for name, count in Counter(found).items() if name and count > 1]
     if twice:
-        raise ValueError(f"{path}: more than one column is named {', '.join(twice)}; rename them")
+        named = cut(", ".join(twice), MAX_FOUND)
+        raise ValueError(f"{path}: more than one column is named {named}; rename them")
     return [name for name in dict.fromkeys((*required, *optional)) if name in found]
 
 

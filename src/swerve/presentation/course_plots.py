@@ -19,7 +19,7 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from swerve.base import files
-from swerve.base.figure_style import FAINT, INK, WIDTH, headed, open_sides, written
+from swerve.base.figure_style import FAINT, INK, WIDTH, headed, open_sides, plain, written
 from swerve.base.phrases import cut, probability
 from swerve.base.space import Task
 from swerve.inference.ranking import Ranking
@@ -70,7 +70,8 @@ def plot_course(course: Course, path: str | Path | None = None, *, width: float 
     axes.set_xlabel("time [s]", fontsize=9)
     axes.set_ylabel("posterior probability", fontsize=9)
     open_sides(axes)
-    figure.legend(loc="outside lower left", fontsize=8, frameon=False, ncols=2 if width > 6 else 1)
+    ncols = 2 if width > 6 else 1
+    plain(figure.legend(loc="outside lower left", fontsize=8, frameon=False, ncols=ncols))
     return written(figure, path)
 
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape as escape_html
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from swerve.base.phrases import counted
+from swerve.base.phrases import counted, shown_lines
 
 DPI = 180  # pixels an inch: 8.4 in become 1,512 pixels, for the 62 rem that a page is wide
 
@@ -53,6 +53,11 @@ dd { margin: 0; overflow-wrap: anywhere; }
 @media (max-width: 700px) {
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: .5rem; } }
 """
+
+
+def escape(text: str) -> str:
+    """Return text as HTML: no part of it is a tag, and nothing in it changes how the page reads."""
+    return escape_html(shown_lines(text))
 
 
 def document(title: str, body: str) -> str:

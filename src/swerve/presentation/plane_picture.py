@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from swerve.base import phrases
-from swerve.base.figure_style import FAINT, INK, headed
+from swerve.base.figure_style import FAINT, INK, headed, plain
 from swerve.constraints import polygon_geometry
 from swerve.constraints.boxes import Box
 from swerve.constraints.state_action import StateAction
@@ -210,7 +210,7 @@ def _inside_of_list(hypotheses: HypothesisSet, plane: Plane) -> np.ndarray:
 def _finish(axes: Axes, plane: Plane, notes: str) -> None:
     """Set range and labels of the axes, and write notes above them."""
     axes.set(xlim=plane.limits[0], ylim=plane.limits[1])
-    x, y = plane.labels
+    x, y = map(phrases.shown, plane.labels)
     axes.set_xlabel(x, fontsize=9, parse_math=False)
     axes.set_ylabel(y, fontsize=9, parse_math=False)
     axes.set_title(notes, fontsize=7.5, color=FAINT, loc="left", parse_math=False)
@@ -230,4 +230,4 @@ def _legend(figure: Figure, axes: Axes, shading: Shading, is_wide: bool) -> None
     unique |= dict(zip(labels, handles, strict=True))
     style: dict[str, Any] = {"fontsize": 8 if is_wide else 7.5, "columnspacing": 1.2}
     style |= {"frameon": False, "ncols": 3 if is_wide else 2, "handlelength": 1.8}
-    figure.legend(unique.values(), unique.keys(), loc="outside lower left", **style)
+    plain(figure.legend(unique.values(), unique.keys(), loc="outside lower left", **style))

@@ -9,7 +9,6 @@ Shapes: H hypotheses, K tasks.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from swerve.hypotheses.grid import GridHypotheses
 from swerve.inference.greedy import Pick, Picks
 from swerve.inference.ranking import TIE_ERRORS, Ranking
 from swerve.presentation import html, plots, sentences
+from swerve.presentation.html import escape
 from swerve.trust import doubts, verdicts
 
 MAX_HYPOTHESES = 50  # rows of the ranking

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swerve.base.phrases import shown
 from swerve.inference.ranking import Ranking
 from swerve.presentation import sentences
 from swerve.trust import verdicts
@@ -32,7 +33,7 @@ def table(inference: Ranking, num_rows: int) -> str:
             f"{rank:>4}{tied} {index:>6} {least}{inference.log_likelihood[index]:>8.2f} "
             f"{inference.standard_error[index]:>6.2f}  "
             f"{inference.posterior.hypotheses[index]:>9.4f}  "
-            f"{inference.average_violation[index]:>8.3f}  {inference.hypothesis_name(index)}"
+            f"{inference.average_violation[index]:>8.3f}  {shown(inference.hypothesis_name(index))}"
         )
     if len(ranking) > num_rows:
         lines.append(f"      ... {len(ranking) - num_rows} more")
@@ -90,7 +91,7 @@ def picks_table(inference: Ranking, picks: Picks) -> str:
         lines.append(
             f"{number:>5} {pick.hypothesis:>6}  {pick.total_gain:>8.2f} {pick.gain:>8.3f} "
             f"{pick.standard_error:>6.3f}  {pick.log_odds:>8.2f}  "
-            f"{inference.hypothesis_name(pick.hypothesis)}"
+            f"{shown(inference.hypothesis_name(pick.hypothesis))}"
         )
     return "\n".join([*lines, f"      {ended}"])
 
