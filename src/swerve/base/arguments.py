@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import operator
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+
+
+def fields_of(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass alone: what is pickled, without what was computed since."""
+    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
 
 
 def whole_number(value: Any, name: str, least: int) -> int:

@@ -206,7 +206,7 @@ def _from_policy(
         island = np.arange(len(log_weight)) // NUM_PARTICLES
         if _effective(log_weight, island * NUM_PARTICLES + np.asarray(particles.root)) < LEAST_ESS:
             return None
-    p = estimators.normalise(log_weight)
+    p = np.asarray(estimators.normalise(log_weight), np.float32)
     return _demonstration(
         problem, candidates, int(jax.random.choice(key_choice, len(p), p=p)), task, name
     )

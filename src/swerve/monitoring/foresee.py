@@ -77,7 +77,7 @@ class Rollouts:
             nonlocal key
             key, key_now = jax.random.split(key)
             starts = jnp.broadcast_to(jnp.asarray(state, jnp.float32)[:, None], (len(state), num))
-            found = continued(problem, policy, starts, jnp.asarray(step), target, key_now)
+            found = continued(problem, policy, starts, jnp.int32(step), target, key_now)
             states = np.moveaxis(np.asarray(found.states)[step:], -1, 0)
             bits = record.hypotheses.violations(states, record.space, problem.between_states)
             log_weight = np.asarray(found.log_weight[step], float)
@@ -195,7 +195,7 @@ class _Fit:
         self.states = jax.tree.map(jnp.asarray, states)
         self.goals = jnp.asarray(goals, jnp.float32)
         starts = jnp.asarray(evidence.tasks.start, jnp.float32)
-        steps = jnp.zeros(len(starts))
+        steps = jnp.zeros(len(starts), jnp.float32)
         self.at_starts = inputs(starts, steps, self.goals[goal_of])
         self.known = jnp.asarray(np.exp(evidence.log_ratio), jnp.float32)
         weight, share = states.weight[:, None], np.zeros(self.known.shape[1])
@@ -212,7 +212,8 @@ class _Fit:
         key_network, key = jax.random.split(jax.random.key(seed))
         network = DenseNetwork(sizes, 0.1, key=key_network)
         # begin with each hypothesis's log-odds over all states: only differences are left to learn
-        network.biases[-1] = jnp.asarray(np.log1p(-self.entered) - np.log(self.entered))
+        log_odds = np.log1p(-self.entered) - np.log(self.entered)
+        network.biases[-1] = jnp.asarray(log_odds, jnp.float32)
         schedule = optax.cosine_decay_schedule(LEARNING_RATE, num_updates)
         optimiser = optax.adam(schedule)
         state = optimiser.init(network)  # pyright: ignore[reportArgumentType]
@@ -229,13 +230,13 @@ class _Fit:
 
         for k in range(math.ceil(num_updates / BLOCK)):
             num = min(BLOCK, num_updates - k * BLOCK)
-            network, state = block(network, state, jax.random.fold_in(key, k), jnp.asarray(num))
+            network, state = block(network, state, jax.random.fold_in(key, k), jnp.int32(num))
             advance(num)
         return network
 
     def loss(self, network: DenseNetwork, key: Array) -> Array:
         """Return the mean cross-entropy of a random minibatch, and of the starts of tasks."""
-        chosen = jax.random.randint(key, (BATCH,), 0, self.num_states)
+        chosen = jax.random.randint(key, (BATCH,), 0, self.num_states, jnp.int32)
         batch = jax.tree.map(lambda column: column[chosen], self.states)
         x = self.inputs(batch.state, batch.step.astype(jnp.float32), self.goals[batch.goal])
         num_hypotheses = self.known.shape[1]

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from swerve.base.arguments import whole_number
 from swerve.base.space import StateSpace, Task
+from swerve.problem.boundary import BoundaryError, actions_of, cast_methods
 
 
 class _StateNames:
@@ -55,6 +56,9 @@ class MDP(eqx.Module):
       bounds: [n, 2] where states are expected; grids, checks and random states use the bounds.
       angles: names of the states that wrap at 2 pi [rad]; none unless set.
       goal_names: the g names of the goal's components; the names of the states unless set.
+      is_timed: whether every step takes dt seconds. False for a model without a clock, whose moves
+        take no definite time, such as moves over a lattice: then demonstrations may be as slow or
+        as quick as they like, and dt is only used where pictures and monitors need a time.
     """
 
     if TYPE_CHECKING:  # a type checker accepts any way in which a subclass provides the value
@@ -66,6 +70,7 @@ class MDP(eqx.Module):
         bounds: Any = eqx.field(init=False)
         angles: Any = eqx.field(init=False)
         goal_names: Any = eqx.field(init=False)
+        is_timed: Any = eqx.field(init=False)
     else:
         state_names: eqx.AbstractVar[tuple[str, ...]]
         action_names: eqx.AbstractVar[tuple[str, ...]]
@@ -75,6 +80,11 @@ class MDP(eqx.Module):
         bounds: eqx.AbstractVar[Sequence[Sequence[float]]]
         angles = ()
         goal_names = _StateNames()
+        is_timed = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cast_methods(cls, MDP)
 
     @abc.abstractmethod
     def dynamics(self, state: Float[Array, " n"], action: Float[Array, " m"]) -> Float[Array, " n"]:
@@ -94,7 +104,7 @@ class MDP(eqx.Module):
         self, state: Float[Array, " n"], goal: Float[Array, " g"]
     ) -> Float[Array, ""]:
         """Return r_T(s), paid where the episode ends, early or not; 0 unless overridden."""
-        return jnp.zeros(())
+        return jnp.zeros((), jnp.float32)
 
     def terminated(self, state: Float[Array, " n"], goal: Float[Array, " g"]) -> Bool[Array, ""]:
         """Return whether the episode ends on reaching this state; False unless overridden."""
@@ -113,8 +123,9 @@ class MDP(eqx.Module):
         bounds' extent (angles as sine and cosine), the goal itself, and the time to go.
         """
         space = self.space
-        centre, half = space.bounds.mean(axis=1), 0.5 * space.extent
-        to_go = (self.num_steps - step) / self.num_steps
+        centre = space.bounds.mean(axis=1).astype(np.float32)
+        half = (0.5 * space.extent).astype(np.float32)
+        to_go = (self.num_steps - jnp.asarray(step, jnp.float32)) / self.num_steps
         parts = [_embed(state, centre, half, space.is_angle), jnp.stack([to_go, jnp.sqrt(to_go)])]
         if self.goal_names == self.state_names:
             parts.append(_embed(goal, centre, half, space.is_angle))
@@ -135,10 +146,8 @@ class MDP(eqx.Module):
 
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, " n"]:
         """Sample a state from which training may start; by default uniform in the bounds."""
-        bounds = self.space.bounds
-        return jax.random.uniform(
-            key, (len(bounds),), minval=jnp.asarray(bounds[:, 0]), maxval=jnp.asarray(bounds[:, 1])
-        )
+        low, high = self.space.bounds.astype(np.float32).T
+        return jax.random.uniform(key, low.shape, jnp.float32, low, high)
 
     @property
     def space(self) -> StateSpace:
@@ -150,7 +159,7 @@ class MDP(eqx.Module):
     @property
     def num_actions(self) -> int:
         """A, the number of actions."""
-        return self.actions.shape[0]
+        return len(self.actions)
 
 
 def rk4(derivative, state: Array, dt: float) -> Array:
@@ -176,7 +185,7 @@ def check_mdp(mdp: MDP) -> None:
                 f"{getattr(mdp, label)!r}"
             )
     num_states = len(mdp.state_names)
-    actions = np.asarray(mdp.actions)
+    actions = np.asarray(actions_of(mdp))
     if actions.ndim != 2 or actions.shape[1] != len(mdp.action_names) or actions.shape[0] < 1:
         raise ValueError(
             f"{name}.actions: expected shape [A, {len(mdp.action_names)}], one row an action and "
@@ -188,8 +197,10 @@ def check_mdp(mdp: MDP) -> None:
         raise ValueError(f"{name}.dt: expected a positive number of seconds, got {mdp.dt}")
     whole_number(mdp.num_steps, f"{name}.num_steps", 1)
     state = jnp.asarray(mdp.space.bounds.mean(axis=1), jnp.float32)
-    goal = state if mdp.goal_names == mdp.state_names else jnp.zeros(len(mdp.goal_names))
-    action = jnp.asarray(mdp.actions)[0]
+    goal = state
+    if mdp.goal_names != mdp.state_names:
+        goal = jnp.zeros(len(mdp.goal_names), jnp.float32)
+    action = actions_of(mdp)[0]
     for label, method, arguments, shape, kind in (
         ("dynamics(state, action)", mdp.dynamics, (state, action), (num_states,), float),
         (
@@ -212,6 +223,8 @@ def _check_method(
     try:
         jax.eval_shape(method, *arguments)
         value = jnp.asarray(method(*arguments))
+    except BoundaryError:
+        raise
     except Exception as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(
@@ -220,8 +233,6 @@ def _check_method(
         ) from error
     if value.shape != shape:
         raise ValueError(f"{label}: expected shape {shape}, got {value.shape}")
-    if kind is bool and value.dtype != bool:
-        raise ValueError(f"{label}: expected True or False, got {value} of {value.dtype}")
     numbers = np.asarray(value, float)
     forbidden = np.isneginf(numbers) & (kind is float and shape == ())  # a reward may be -inf
     if not (np.isfinite(numbers) | forbidden).all():

@@ -14,21 +14,24 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
-from swerve.base.arguments import positive_number
+from swerve.base.arguments import fields_of, positive_number
 from swerve.constraints.base import Constraint, check_constraints
 from swerve.constraints.boxes import ActionBox
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
+from swerve.problem.boundary import actions_of
 from swerve.problem.mdp import MDP, check_mdp
 from swerve.problem.record import MEASURES, ProblemRecord, digest
 
+NARROW = {"float64": "float32", "int64": "int32", "uint64": "uint32"}
 OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # module of a user's file, with the path's hash
 
 
@@ -77,13 +80,21 @@ class Problem:
         if not isinstance(self.hypotheses, HypothesisSet):
             check_constraints(self.hypotheses, space, action_names, "hypotheses")
             object.__setattr__(self, "hypotheses", ConstraintHypotheses(self.hypotheses))
-        positive_number(self.beta, "beta")
+        object.__setattr__(self, "beta", positive_number(self.beta, "beta"))
         if self.measure not in MEASURES:
             raise ValueError(f"measure: expected one of {MEASURES}, got {self.measure!r}")
         self.hypotheses.check(space, action_names)
         _check_actions(self.hypotheses, self.mdp)
         known = check_constraints(self.known, space, action_names, "known")
         object.__setattr__(self, "known", known)
+
+    @cached_property
+    def compiled(self) -> dict[Any, Callable[..., Any]]:
+        """Functions that JAX compiled for this problem, by `simulation.compiled`."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_of(self)
 
     @property
     def record(self) -> ProblemRecord:
@@ -104,6 +115,7 @@ class Problem:
             between_states=bool(self.between_states),
             mdp_digest=_mdp_digest(self.mdp),
             transitions=getattr(self.mdp, "transitions", None),
+            is_timed=bool(self.mdp.is_timed),
         )
 
 
@@ -148,10 +160,12 @@ def _mdp_digest(mdp: MDP) -> str:
             parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
             continue
         array = np.asarray(leaf)
+        if isinstance(leaf, jax.Array):  # of 64 bits only where JAX was told so
+            array = array.astype(NARROW.get(array.dtype.name, array.dtype))
         parts.append(f"{jax.tree_util.keystr(path)}{array.dtype}{array.shape}")
         parts.append(array.tobytes().hex())
     parts += _static_fields(mdp, "")
-    parts.append(np.asarray(mdp.actions, np.float64).tobytes().hex())
+    parts.append(np.asarray(actions_of(mdp), np.float64).tobytes().hex())
     return digest("\n".join(parts))
 
 

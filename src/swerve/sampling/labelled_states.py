@@ -111,13 +111,13 @@ def _starts(
 
     Args:
       problem: problem with these states.
-      kept: [M, T+1, n] nominal trajectories.
+      kept: [M, L, n] nominal trajectories, each at rest in its last state.
       starts: [K, n] starts of tasks.
       step: step at which to go on.
       generator: source of randomness.
     """
     num_near, num_before_tasks = (int(share * AT_ONCE) for share in SHARES)
-    space, now = problem.mdp.space, kept[:, step]
+    space, now = problem.mdp.space, kept[:, min(step, kept.shape[1] - 1)]
     near = now[generator.integers(len(now), size=AT_ONCE)]
     scale = np.exp(generator.uniform(*np.log(NEARBY), size=(AT_ONCE, 1)))
     states = near + scale * space.extent * generator.normal(size=near.shape)
@@ -143,10 +143,10 @@ def _labelled(
     target = jnp.asarray(goals[goal], jnp.float32)
     begin = jnp.asarray(starts.T, jnp.float32)
     key_cuts, key = jax.random.split(key)
-    found = continued(problem, policy, begin, jnp.asarray(first), target, key)
+    found = continued(problem, policy, begin, jnp.int32(first), target, key)
     states = np.moveaxis(np.asarray(found.states), -1, 0)
     log_weight = np.asarray(found.log_weight)
-    shares = np.sort(np.asarray(jax.random.uniform(key_cuts, (NUM_SUFFIXES - 1,))))
+    shares = np.sort(np.asarray(jax.random.uniform(key_cuts, (NUM_SUFFIXES - 1,), jnp.float32)))
     cuts = np.unique([first, *(first + shares * (num_steps - first)).astype(int)])
     allowed = np.isfinite(states).all(axis=(1, 2)) & ~_is_forbidden(problem, begin)
     entered, parts = np.uint8(0), []

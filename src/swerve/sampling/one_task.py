@@ -9,18 +9,26 @@ import zlib
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from swerve.base.space import Actions, Task
 from swerve.evidence import estimators
-from swerve.evidence.samples import NUM_ISLANDS, NUM_KEPT, RESAMPLED, TEMPERED, Samples, log_weights
+from swerve.evidence.samples import (
+    NUM_ISLANDS,
+    NUM_KEPT,
+    RESAMPLED,
+    TEMPERED,
+    Samples,
+    kept_paths,
+    log_weights,
+)
 from swerve.problem.problem import Problem
 from swerve.problem.record import ProblemRecord
 from swerve.sampling.smc import Particles, smc_rollout
 from swerve.sampling.tempering import temper
+from swerve.simulation.compiled import of_problem
 from swerve.simulation.policies import ValuedPolicy
 from swerve.simulation.trajectory import Policy, Trajectory, rollout
 
@@ -111,7 +119,7 @@ def sample_task(job: SamplingJob, run_all: Callable, advance: Callable[..., None
     chunk, within = _at(_points(), np.array([chunk.log_total for chunk in chunks]))
     place = np.minimum((within * NUM_KEPT).astype(int), NUM_KEPT - 1)
     kept = np.stack([chunks[c].kept[k] for c, k in zip(chunk, place, strict=True)])
-    return Samples(*columns, kept=kept[None], soft_value=_soft_value(job)[None])
+    return Samples(*columns, kept=kept_paths(kept)[None], soft_value=_soft_value(job)[None])
 
 
 def _chunk_sizes(job: SamplingJob) -> list[int]:
@@ -131,14 +139,19 @@ def _chunk_sizes(job: SamplingJob) -> list[int]:
 
 
 def _soft_value(job: SamplingJob) -> np.ndarray:
-    """Return log Z_0 of the task by the solver's own soft value, NaN where the solver has none."""
+    """Return log Z_0 of the task by the solver's own soft value.
+
+    NaN where the solver has none; -inf where by the solver known constraints close the start in.
+    """
     if not isinstance(job.policy, ValuedPolicy) or job.method == TEMPERED:
         return np.array(np.nan)
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)
-    return np.asarray(_value_at_start(job.policy, start, goal), np.float64)
+    value = np.asarray(_value_at_start(job.policy, start, goal), np.float64)
+    is_closed = bool(job.problem.known) and value < job.policy.least_value
+    return np.array(-np.inf) if is_closed else value
 
 
-@eqx.filter_jit
+@of_problem
 def _value_at_start(policy: ValuedPolicy, start: jax.Array, goal: jax.Array) -> jax.Array:
     return policy.soft_value(start, jnp.zeros((), jnp.int32), goal)
 
@@ -183,7 +196,7 @@ def _sample_particles(job: SamplingJob, key: jax.Array, size: int) -> Particles:
             job.record.beta,
             num_islands=num_islands,
             num_particles=job.island,
-            seed=int(jax.random.bits(key)),
+            seed=int(jax.random.bits(key, dtype=jnp.uint32)),
         )
     assert isinstance(job.policy, ValuedPolicy)
     start, goal = (jnp.asarray(values, jnp.float32) for values in job.task)

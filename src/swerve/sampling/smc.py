@@ -23,12 +23,12 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from swerve.problem.problem import Problem
+from swerve.simulation.compiled import of_problem
 from swerve.simulation.policies import LOWEST, ValuedPolicy, log_measure
 from swerve.simulation.trajectory import Trajectory, sample_action, take_step
 
@@ -70,7 +70,7 @@ class _Particle(NamedTuple):
     owed: Array
 
 
-@eqx.filter_jit
+@of_problem
 def smc_rollout(
     policy: ValuedPolicy,
     start: Float[Array, " n"],
@@ -94,8 +94,8 @@ def smc_rollout(
     """
     num_steps, num = policy.problem.mdp.num_steps, num_islands * num_particles
     key_actions, key_resampling = jax.random.split(key)
-    uniforms = jax.random.uniform(key_actions, (num_steps, num))
-    offsets = jax.random.uniform(key_resampling, (num_steps, num_islands))
+    uniforms = jax.random.uniform(key_actions, (num_steps, num), jnp.float32)
+    offsets = jax.random.uniform(key_resampling, (num_steps, num_islands), jnp.float32)
     first = _at_start(start, num_islands, num_particles)
     propose = jax.vmap(policy.propose, (-1, None, None), -1)
     move = jax.vmap(partial(_move, policy.problem, policy.beta), (-1, -1, None, None, -1), -1)
@@ -110,9 +110,9 @@ def smc_rollout(
         particles, action = move(particles, proposed, step, goal, uniform)
         return (particles, log_mean + mean), (particles.state, action, ancestor)
 
-    initial = (first, jnp.zeros(num_islands))
+    initial = (first, jnp.zeros(num_islands, jnp.float32))
     (last, log_mean), history = jax.lax.scan(
-        advance, initial, (jnp.arange(num_steps), uniforms, offsets)
+        advance, initial, (jnp.arange(num_steps, dtype=jnp.int32), uniforms, offsets)
     )
     states, actions = _followed_back(*history)
     states = jnp.concatenate([first.state[None], states])
@@ -124,14 +124,14 @@ def smc_rollout(
 def _at_start(start: Float[Array, " n"], num_islands: int, num_particles: int) -> _Particle:
     """Return particles that are at the start, each its own root."""
     num = num_islands * num_particles
-    zeros = jnp.zeros(num)
+    zeros = jnp.zeros(num, jnp.float32)
     return _Particle(
         state=jnp.broadcast_to(start[:, None], (len(start), num)),
         total_reward=zeros,
         log_probability=zeros,
         length=jnp.zeros(num, jnp.int32),
         ended=jnp.zeros(num, bool),
-        root=jnp.tile(jnp.arange(num_particles), num_islands),
+        root=jnp.tile(jnp.arange(num_particles, dtype=jnp.int32), num_islands),
         log_weight=zeros,
         owed=zeros,
     )
@@ -181,11 +181,11 @@ def _resampled(
     total = weight.sum(axis=1)
     effective = total**2 / jnp.maximum((weight**2).sum(axis=1), 1e-30)
     needed = (effective < RESAMPLED * num_particles) & (total > 0.0)
-    itself = jnp.arange(num_islands * num_particles)
+    itself = jnp.arange(num_islands * num_particles, dtype=jnp.int32)
 
     def resample(particles: _Particle, proposed: tuple[Array, Array]) -> tuple:
         chosen = jax.vmap(_systematic)(weight, offset)
-        first = num_particles * jnp.arange(num_islands)[:, None]
+        first = num_particles * jnp.arange(num_islands, dtype=jnp.int32)[:, None]
         ancestor = jnp.where(needed[:, None], first + chosen, itself.reshape(islands.shape))
         ancestor = ancestor.reshape(-1)
         log_weight = jnp.where(needed[:, None], 0.0, islands).reshape(-1)
@@ -194,7 +194,7 @@ def _resampled(
         return particles._replace(log_weight=log_weight), proposed, log_mean, ancestor
 
     def keep(particles: _Particle, proposed: tuple[Array, Array]) -> tuple:
-        return particles, proposed, jnp.zeros(num_islands), itself
+        return particles, proposed, jnp.zeros(num_islands, jnp.float32), itself
 
     return jax.lax.cond(needed.any(), resample, keep, particles, proposed)
 
@@ -203,7 +203,7 @@ def _systematic(weight: Float[Array, " P"], offset: Float[Array, ""]) -> Int[Arr
     """Return P indices sampled by weight: even steps through the sum, from one uniform number."""
     num = len(weight)
     cumulative = jnp.cumsum(weight)
-    points = (jnp.arange(num) + offset) / num * cumulative[-1]
+    points = (jnp.arange(num, dtype=jnp.float32) + offset) / num * cumulative[-1]
     return jnp.minimum(jnp.searchsorted(cumulative, points, side="right"), num - 1)
 
 
@@ -216,5 +216,5 @@ def _followed_back(
         state, action, ancestor = x
         return ancestor[index], (state[:, index], action[index])
 
-    last = jnp.arange(states.shape[-1])
+    last = jnp.arange(states.shape[-1], dtype=jnp.int32)
     return jax.lax.scan(back, last, (states, actions, ancestors), reverse=True)[1]

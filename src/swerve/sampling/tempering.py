@@ -19,7 +19,6 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +28,7 @@ from swerve.base.space import Task
 from swerve.evidence import estimators
 from swerve.problem.problem import Problem
 from swerve.sampling.smc import Particles
+from swerve.simulation.compiled import of_problem
 from swerve.simulation.trajectory import Policy, Trajectory, sample_action, take_step
 
 EFFECTIVE = 0.5  # share of the trajectories that stays effective from one temperature to the next
@@ -223,13 +223,13 @@ def _unmoved(problem: Problem, task: Task, num: int) -> _Paths:
     return _Paths(
         states=jnp.broadcast_to(start[:, None], (num_steps + 1, len(start), num)),
         actions=jnp.zeros((num_steps, num), jnp.int32),
-        reward=jnp.zeros((num_steps, num)),
-        log_probability=jnp.zeros((num_steps, num)),
+        reward=jnp.zeros((num_steps, num), jnp.float32),
+        log_probability=jnp.zeros((num_steps, num), jnp.float32),
         length=jnp.full(num, num_steps, jnp.int32),
     )
 
 
-@eqx.filter_jit
+@of_problem
 def _grow(
     problem: Problem,
     policy: Policy,
@@ -240,7 +240,7 @@ def _grow(
 ) -> _Paths:
     """Return trajectories grown anew by the policy from step `cut` on, unless they end before."""
     num_steps = problem.mdp.num_steps
-    uniforms = jax.random.uniform(key, paths.actions.shape)
+    uniforms = jax.random.uniform(key, paths.actions.shape, jnp.float32)
 
     def step_one(state: Array, step: Array, uniform: Array) -> tuple:
         action, log_probability = sample_action(policy(state, step, goal), uniform)

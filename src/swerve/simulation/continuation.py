@@ -15,13 +15,13 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from swerve.problem.problem import Problem
-from swerve.simulation.policies import ValuedPolicy, log_measure
+from swerve.simulation.compiled import of_problem
+from swerve.simulation.policies import LOWEST, ValuedPolicy, is_open, log_measure
 from swerve.simulation.trajectory import Policy, sample_action, take_step
 
 
@@ -38,7 +38,7 @@ class Continuation(NamedTuple):
     log_weight: Float[Array, "T+1 N"]
 
 
-@eqx.filter_jit
+@of_problem
 def continued(
     problem: Problem,
     policy: Policy,
@@ -62,14 +62,14 @@ def continued(
 
     def body(step: Array, carry: tuple) -> tuple:
         state, ended, states, gains, values = carry
-        uniforms = jax.random.uniform(jax.random.fold_in(key, step), (num,))
+        uniforms = jax.random.uniform(jax.random.fold_in(key, step), (num,), jnp.float32)
         moved, now_ended, gain, value = advance(state, ended, step, goal, uniforms)
         states = states.at[step + 1].set(moved)
         return moved, now_ended, states, gains.at[step].set(gain), values.at[step].set(value)
 
     ended = jax.vmap(problem.mdp.terminated, (-1, None))(starts, goal)
     states = jnp.broadcast_to(starts, (num_steps + 1, *starts.shape))
-    zeros = jnp.zeros((num_steps + 1, num))
+    zeros = jnp.zeros((num_steps + 1, num), jnp.float32)
     initial = (starts, ended, states, zeros, zeros)
     *_, states, gains, values = jax.lax.fori_loop(first, num_steps, body, initial)
     if not isinstance(policy, ValuedPolicy):
@@ -95,8 +95,9 @@ def _advance(
     """
     if isinstance(policy, ValuedPolicy):
         (log_probabilities, value), beta = policy.propose(state, step, goal), policy.beta
+        value = jnp.where(is_open(value), value, LOWEST)  # sums with less would lose their digits
     else:
-        log_probabilities, value = policy(state, step, goal), jnp.zeros(())
+        log_probabilities, value = policy(state, step, goal), jnp.float32(0.0)
         beta = problem.beta
     action, log_probability = sample_action(log_probabilities, uniform)
     taken = take_step(problem, state, action, step, goal)

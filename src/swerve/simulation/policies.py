@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import abc
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,6 +29,7 @@ from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import take_step
 
 FORBIDDEN = -1e9  # nats, value of a forbidden action; finite, since all actions may be forbidden
+CLOSED = -1e8  # nats, V of a closed state; above FORBIDDEN, since a coarse grid may miss a way out
 LOWEST = -1e4  # nats, least value: sums with lower values would lose digits in float32
 
 
@@ -63,6 +65,14 @@ class ValuedPolicy(eqx.Module):
         """Return the policy's estimate of V_t(s), nats; at the start of a task, V is log Z_0."""
         return self.propose(state, step, goal)[1]
 
+    @property
+    def least_value(self) -> float:
+        """Soft values below this one [nats] stand for states that known constraints close in.
+
+        Such a value is no estimate, and is never shown.
+        """
+        return CLOSED / 2
+
 
 class LookAhead(ValuedPolicy):
     """The policy that looks one step ahead with a soft value V, which subclasses provide."""
@@ -88,7 +98,7 @@ class LookAhead(ValuedPolicy):
             reward = jnp.where(forbidden, 0.0, taken.reward)
             return jnp.where(forbidden, FORBIDDEN, self.beta * reward + ahead)
 
-        return jax.vmap(look)(jnp.arange(problem.mdp.num_actions))
+        return jax.vmap(look)(jnp.arange(problem.mdp.num_actions, dtype=jnp.int32))
 
     def propose(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -102,6 +112,11 @@ class LookAhead(ValuedPolicy):
         """Return log pi(a | s, t) of every action, and (B V)_t(s) [nats], from action values."""
         total = jax.nn.logsumexp(action_values)
         return action_values - total, total - log_measure(self.problem)
+
+
+def is_open(values: Any) -> Any:
+    """Return where a value belongs to an open state, from which some step is allowed."""
+    return values > CLOSED / 2
 
 
 def log_measure(problem: Problem) -> float:

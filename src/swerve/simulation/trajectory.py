@@ -15,15 +15,16 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from swerve.base.space import Actions
 from swerve.constraints.base import Constraint, step_enters
+from swerve.problem.boundary import actions_of, number
 from swerve.problem.mdp import MDP
 from swerve.problem.problem import Problem
+from swerve.simulation.compiled import of_problem
 
 Policy = Callable[[Array, Array, Array], Array]
 """Maps one state [n], the step t and one goal [g] to log-probabilities [A]."""
@@ -99,7 +100,7 @@ def take_step(
 ) -> Step:
     """Take one action, given by its index, in a state at step t."""
     mdp = problem.mdp
-    torque = mdp.actions[action]
+    torque = actions_of(mdp)[action]
     next_state = mdp.dynamics(state, torque)
     ended = mdp.terminated(next_state, goal) | (step == mdp.num_steps - 1)
     reward = mdp.reward(state, torque, next_state, goal)
@@ -116,12 +117,13 @@ def sample_action(
     An action of probability zero is never sampled: the last positive step of the cumulative sum
     lies above `uniform` times the total, whatever the rounding.
     """
+    log_probabilities = number(log_probabilities, "policy")
     cumulative = jnp.cumsum(jnp.exp(log_probabilities))
-    action = jnp.sum(uniform * cumulative[-1] >= cumulative[:-1])
+    action = jnp.sum(uniform * cumulative[-1] >= cumulative[:-1], dtype=jnp.int32)
     return action, log_probabilities[action]
 
 
-@eqx.filter_jit
+@of_problem
 def rollout(
     problem: Problem,
     policy: Policy,
@@ -148,12 +150,12 @@ def rollout(
         jnp.broadcast_to(x if x.ndim == 2 else x[:, None], (x.shape[0], *batch))
         for x in (start, goal)
     )
-    uniforms = jax.random.uniform(key, (mdp.num_steps, num_trajectories))
+    uniforms = jax.random.uniform(key, (mdp.num_steps, num_trajectories), jnp.float32)
 
     initial = _Carry(
         start,
-        jnp.zeros(batch),
-        jnp.zeros(batch),
+        jnp.zeros(batch, jnp.float32),
+        jnp.zeros(batch, jnp.float32),
         jnp.zeros(batch, jnp.int32),
         jnp.zeros(batch, bool),
     )
@@ -161,7 +163,7 @@ def rollout(
     final, (states, actions) = jax.lax.scan(
         lambda carry, x: advance(carry, goal, *x),
         initial,
-        (jnp.arange(mdp.num_steps), uniforms),
+        (jnp.arange(mdp.num_steps, dtype=jnp.int32), uniforms),
     )
     return Trajectory(
         jnp.concatenate([initial.state[None], states]),

@@ -91,7 +91,7 @@ class Car(MDP):
     ) -> Float[Array, "13"]:
         """Return smooth features, among them the distances to the edges and the time left."""
         x, y, heading, speed = state
-        to_go = (self.num_steps - step) * self.dt
+        to_go = (self.num_steps - jnp.asarray(step, jnp.float32)) * self.dt
         drift = speed * jnp.sin(heading)
         left, right = x - TRACK[0], TRACK[1] - x
         return jnp.stack(
@@ -112,12 +112,12 @@ class Car(MDP):
         """Sample a state on the track with a heading within 0.8 rad of the track's direction."""
         low = jnp.array([TRACK[0], -0.5, -0.8, 0.0])
         high = jnp.array([TRACK[1], GOAL_LINE, 0.8, 3.0])
-        return jax.random.uniform(key, (4,), minval=low, maxval=high)
+        return jax.random.uniform(key, (4,), jnp.float32, low, high)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
         """Sample a start near (0, 0) at about 1 m/s along the track."""
         middle, half = jnp.array([0.0, 0.0, 0.0, 1.0]), jnp.array(START_SPREAD)
-        start = middle + jax.random.uniform(key, (4,), minval=-half, maxval=half)
+        start = middle + jax.random.uniform(key, (4,), jnp.float32, -half, half)
         return Task(start, jnp.zeros(0))
 
 

@@ -85,7 +85,7 @@ class DoublePendulum(MDP):
         (q, q' / w). The differences of both modes to the goal are features. The same differences,
         divided by the time left and bounded by tanh at two scales, are features too.
         """
-        to_go = (self.num_steps - step) * self.dt
+        to_go = (self.num_steps - jnp.asarray(step, jnp.float32)) * self.dt
         miss = _modes(goal) - _coasted(_modes(state), to_go)
         gain = miss / (to_go + 0.1) / self.max_torque
         return jnp.concatenate(
@@ -99,12 +99,12 @@ class DoublePendulum(MDP):
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "4"]:
         """Sample a state within 1.8 rad and 2.5 rad/s of hanging at rest, wider than tasks."""
         half = jnp.array(REACH)
-        return jax.random.uniform(key, (4,), minval=-half, maxval=half)
+        return jax.random.uniform(key, (4,), jnp.float32, -half, half)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
         """Sample start and goal within 1 rad and 1 rad/s of hanging at rest."""
         half = jnp.array(NEAR)
-        start, goal = jax.random.uniform(key, (2, 4), minval=-half, maxval=half)
+        start, goal = jax.random.uniform(key, (2, 4), jnp.float32, -half, half)
         return Task(start, goal)
 
 
@@ -112,7 +112,7 @@ def _modes(state: Float[Array, "4"]) -> Float[Array, "4"]:
     """Return (q, q' / w) of the two modes of small swings, theta_2 = +-sqrt(2) theta_1."""
     angles = (state[:2] + math.pi) % TWO_PI - math.pi
     both = jnp.stack([angles[0], state[2]]), jnp.stack([angles[1], state[3]]) / math.sqrt(2.0)
-    scale = [jnp.array([1.0, 1.0 / frequency]) for frequency in FREQUENCIES]
+    scale = [jnp.array([1.0, 1.0 / frequency], jnp.float32) for frequency in FREQUENCIES]
     return 0.5 * jnp.concatenate([(both[0] + both[1]) * scale[0], (both[0] - both[1]) * scale[1]])
 
 

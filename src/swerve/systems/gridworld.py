@@ -133,8 +133,8 @@ class Gridworld(TabularMDP):
         start, step = jax.random.split(key)
         blocked = [y * self.width + x for x, y in self.walls]
         free = jnp.asarray(np.delete(self.states, blocked, axis=0), jnp.float32)
-        first = jax.random.randint(start, (), 0, len(free))
-        second = (first + jax.random.randint(step, (), 1, len(free))) % len(free)
+        first = jax.random.randint(start, (), 0, len(free), jnp.int32)
+        second = (first + jax.random.randint(step, (), 1, len(free), jnp.int32)) % len(free)
         return Task(free[first], free[second])
 
     def hypotheses(self) -> list[Constraint]:

@@ -84,7 +84,7 @@ class Pendulum(MDP):
         and `gain` are the accelerations, in units of the largest torque, that would close this
         difference and the difference in speed.
         """
-        to_go = (self.num_steps - step) * self.dt
+        to_go = (self.num_steps - jnp.asarray(step, jnp.float32)) * self.dt
         angle, gap = goal[0] - state[0], goal[1] - state[1]
         miss = angle - to_go * state[1]
         soon = to_go + 0.1
@@ -107,12 +107,12 @@ class Pendulum(MDP):
     def sample_state(self, key: Key[Array, ""]) -> Float[Array, "2"]:
         """Sample a state with any angle and at most 6 rad/s."""
         low, high = jnp.array([0.0, -MAX_SPEED]), jnp.array([TWO_PI, MAX_SPEED])
-        return jax.random.uniform(key, (2,), minval=low, maxval=high)
+        return jax.random.uniform(key, (2,), jnp.float32, low, high)
 
     def sample_task(self, key: Key[Array, ""]) -> Task:
         """Sample start and goal with any angle and at most 2 rad/s."""
         low, high = jnp.array([0.0, -MAX_START_SPEED]), jnp.array([TWO_PI, MAX_START_SPEED])
-        start, goal = jax.random.uniform(key, (2, 2), minval=low, maxval=high)
+        start, goal = jax.random.uniform(key, (2, 2), jnp.float32, low, high)
         return Task(start, goal)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from swerve.base.arguments import whole_number
 from swerve.base.space import TWO_PI, StateSpace
+from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
 from swerve.solvers.base import LearnOptions, Solver
 from swerve.solvers.exact.tabular import States, TableNominal, check_size
@@ -80,7 +81,7 @@ class Discrete(Solver[TableNominal]):
 
         mdp = problem.mdp
         ends = jax.jit(jax.vmap(mdp.terminated, (0, None)))
-        anywhere = np.asarray(ends(centres, jnp.zeros(len(mdp.goal_names))))
+        anywhere = np.asarray(ends(centres, jnp.zeros(len(mdp.goal_names), jnp.float32)))
 
         def rewards(goal: np.ndarray) -> np.ndarray:
             target = jnp.asarray(goal, jnp.float32)
@@ -198,19 +199,19 @@ def _held(problem: Problem, hold: int) -> Held:
             state = jnp.where(ended, state, following)
             return (state, earned, ended | mdp.terminated(following, goal)), None
 
-        start = (state, jnp.zeros(()), jnp.zeros((), bool))
+        start = (state, jnp.float32(0.0), jnp.zeros((), bool))
         (state, earned, _), _ = jax.lax.scan(one, start, length=hold)
         return state, earned
 
     over_actions = jax.vmap(hold_action, (None, 0, None))
     over_states = jax.vmap(over_actions, (0, None, None))
-    return jax.jit(lambda states, goal: over_states(states, mdp.actions, goal))
+    return jax.jit(lambda states, goal: over_states(states, actions_of(mdp), goal))
 
 
 def _successors(cells: Cells, held: Held, problem: Problem, rule: str) -> np.ndarray:
     """Return the cell [S, A] that each action leads to."""
     mdp = problem.mdp
-    goal = jnp.zeros(len(mdp.goal_names))
+    goal = jnp.zeros(len(mdp.goal_names), jnp.float32)
     n = len(cells.shape)
     offsets = [np.zeros(n)]
     if rule == "majority":

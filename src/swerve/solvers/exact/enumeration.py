@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,8 +34,10 @@ from swerve.evidence import estimators
 from swerve.evidence.exact import ExactAnswer, KeptTrajectories
 from swerve.evidence.samples import NUM_KEPT
 from swerve.hypotheses.bits import enters_set, no_bits, pack_sets
+from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
 from swerve.problem.tasks import checked_task
+from swerve.simulation.compiled import of_problem
 from swerve.simulation.trajectory import Step, take_step
 from swerve.solvers.base import LearnOptions, Solver
 
@@ -272,18 +273,18 @@ def _take_steps(
     return tuple(np.asarray(column)[: len(states)] for column in taken)
 
 
-@eqx.filter_jit
+@of_problem
 def _take_all(
     problem: Problem, states: Float[Array, "N n"], step: Array, goal: Float[Array, " g"]
 ) -> Step:
     by_action = jax.vmap(partial(take_step, problem), (None, 0, None, None))
-    actions = jnp.arange(problem.mdp.num_actions)
+    actions = jnp.arange(problem.mdp.num_actions, dtype=jnp.int32)
     return jax.vmap(lambda state: by_action(state, actions, step, goal))(states)
 
 
 def _blame(problem: Problem, segment: np.ndarray, action: int, goal: np.ndarray, step: int) -> str:
     """Return a message that names the method of the MDP which failed on a segment [2, n]."""
-    mdp, taken = problem.mdp, problem.mdp.actions[action]
+    mdp, taken = problem.mdp, actions_of(problem.mdp)[action]
     where = f"at step {step} from state {segment[0].tolist()} by action {taken.tolist()}"
     before, after, target = (jnp.asarray(x, jnp.float32) for x in (*segment, goal))
     value, method = float(mdp.reward(before, taken, after, target)), "reward"

@@ -34,18 +34,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from swerve.base.arguments import whole_number
 from swerve.problem.problem import Problem
-from swerve.simulation.policies import FORBIDDEN, LookAhead, log_measure
+from swerve.simulation.policies import CLOSED, FORBIDDEN, LookAhead, is_open, log_measure
 from swerve.solvers.base import AdaptingSolver, LearnOptions
 from swerve.solvers.grid.interpolation import STENCIL, StateGrid, choose_smooth
 from swerve.solvers.grid.model import (
     CLIFF,
-    CLOSED,
     Successors,
     clear_cells,
     find_successors,
     goal_model,
     in_sight,
-    is_open,
 )
 
 DEFAULT_POINTS = {1: 1001, 2: 361, 3: 61}  # nodes along a straight axis; an angle has half as many
@@ -166,7 +164,7 @@ class GridNominal:
         clear = None if self._clear is None else jnp.asarray(self._clear)
         for first in range(0, len(goals), block):
             for values in self.backward(goals[first : first + block], advance):
-                yield GridPolicy(self.problem, self.grid, jnp.asarray(values), clear)
+                yield GridPolicy(self.problem, self.grid, jnp.asarray(values, jnp.float32), clear)
 
     def backward(
         self, goals: np.ndarray, advance: Callable[[float], None] = lambda share: None

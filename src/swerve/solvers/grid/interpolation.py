@@ -57,11 +57,11 @@ class StateGrid:
         self.num_points = tuple(num_points)
         self.periodic = tuple(bool(angle) for angle in space.is_angle)
         self.low = tuple(
-            0.0 if angle else low
+            0.0 if angle else float(low)
             for angle, (low, _) in zip(self.periodic, space.bounds, strict=True)
         )
         self.spacing = tuple(
-            2.0 * math.pi / points if angle else (high - low) / (points - 1)
+            2.0 * math.pi / points if angle else float(high - low) / (points - 1)
             for angle, points, (low, high) in zip(
                 self.periodic, num_points, space.bounds, strict=True
             )
@@ -90,7 +90,7 @@ class StateGrid:
         for k, points in enumerate(self.num_points):
             position, last = self._position(state, k), points if self.periodic[k] else points - 1
             below = jnp.clip(jnp.floor(position), 0, last - 1)
-            near = below.astype(jnp.int32) + jnp.arange(2)
+            near = below.astype(jnp.int32) + jnp.arange(2, dtype=jnp.int32)
             x = position - below
             axes.append(Stencil(jnp.where(near < points, near, 0), jnp.stack([1.0 - x, x])))
         return self._product(axes)
@@ -110,7 +110,7 @@ class StateGrid:
         return choose_smooth(jnp, cubic, linear)
 
     def _product(self, axes: list[Stencil]) -> Stencil:
-        nodes, weights = jnp.zeros(1, jnp.int32), jnp.ones(1)
+        nodes, weights = jnp.zeros(1, jnp.int32), jnp.ones(1, jnp.float32)
         for points, axis in zip(self.num_points, axes, strict=True):
             nodes = (nodes[:, None] * points + axis.nodes).reshape(-1)
             weights = (weights[:, None] * axis.weights).reshape(-1)
@@ -127,7 +127,7 @@ class StateGrid:
             below = jnp.floor(position)
             if not self.periodic[k]:
                 below = jnp.clip(below, 1.0, points - 3.0)
-            near = below.astype(jnp.int32) + jnp.arange(-1, 3)
+            near = below.astype(jnp.int32) + jnp.arange(-1, 3, dtype=jnp.int32)
             near = jnp.where(near < 0, near + points, jnp.where(near < points, near, near - points))
             axes.append((near, position - below))
         return axes
@@ -160,4 +160,4 @@ def _cubic_weights(x: Float[Array, ""]) -> Float[Array, "4"]:
 
 def _linear_weights(x: Float[Array, ""]) -> Float[Array, "4"]:
     """Return the linear weights at x of nodes at -1, 0, 1, 2."""
-    return jnp.maximum(0.0, 1.0 - jnp.abs(x - jnp.arange(-1.0, 3.0)))
+    return jnp.maximum(0.0, 1.0 - jnp.abs(x - jnp.arange(-1.0, 3.0, dtype=jnp.float32)))

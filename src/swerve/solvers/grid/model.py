@@ -17,11 +17,12 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Array, Float
 
+from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
+from swerve.simulation.policies import CLOSED, is_open
 from swerve.simulation.trajectory import enters
 from swerve.solvers.grid.interpolation import StateGrid, Stencil, choose_smooth
 
-CLOSED = -1e8  # nats, V of a closed node; above FORBIDDEN, since a coarse grid may miss a way out
 CLIFF = -1e6  # nats, V of a closed node in a cubic: so low that the linear value is taken
 BATCH = 4096  # cells whose surroundings are judged at once, to bound memory
 
@@ -55,11 +56,6 @@ class Successors:
         smooth = self.cubic @ np.where(opened, values, np.float32(CLIFF))
         value = np.where(self.clear[:, None], choose_smooth(np, smooth, linear), linear)
         return np.where(reach > 0.0, value, np.float32(CLOSED))
-
-
-def is_open(values: Any) -> Any:
-    """Return where a value belongs to an open node, from which some step is allowed."""
-    return values > CLOSED / 2
 
 
 def in_sight(problem: Problem, grid: StateGrid, state: Float[Array, " n"]) -> Stencil:
@@ -132,7 +128,7 @@ def find_successors(problem: Problem, grid: StateGrid, clear: np.ndarray | None)
 
     nodes = jnp.asarray(grid.nodes(), jnp.float32)
     parts = []
-    for action in mdp.actions:
+    for action in actions_of(mdp):
         states, forbidden, cell, *stencils = successors_of(action, nodes)
         _check_finite(np.asarray(states), grid, f"{type(mdp).__name__}.dynamics")
         matrices = [_sparse(stencil, grid.num_nodes) for stencil in stencils]
@@ -174,7 +170,7 @@ def goal_model(
         def reward(action: Array, following: Array) -> Array:
             return jax.vmap(mdp.reward, (0, None, 0, None))(states, action, following, goal)
 
-        return beta * jax.vmap(reward)(mdp.actions, next_states).reshape(-1)
+        return beta * jax.vmap(reward)(actions_of(mdp), next_states).reshape(-1)
 
     states = jnp.asarray(nodes, jnp.float32)
     next_states = jnp.asarray(successors.states).reshape(mdp.num_actions, *nodes.shape)

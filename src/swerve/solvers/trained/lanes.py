@@ -38,7 +38,7 @@ def fresh_lanes(problem: Problem, key: Key[Array, ""], num_lanes: int, explore: 
     key_task, key_state, key_step = jax.random.split(key, 3)
     start, goal = over_lanes(mdp.sample_task, 0)(jax.random.split(key_task, num_lanes))
     anywhere = over_lanes(mdp.sample_state, 0)(jax.random.split(key_state, num_lanes))
-    step = jax.random.randint(key_step, (num_lanes,), 0, mdp.num_steps)
+    step = jax.random.randint(key_step, (num_lanes,), 0, mdp.num_steps, jnp.int32)
     explores = jnp.arange(num_lanes) < explore * num_lanes
     lanes = Lanes(jnp.where(explores, anywhere, start), jnp.where(explores, step, 0), goal)
     begins = over_lanes(partial(can_begin, problem), -1, -1)(lanes.state, lanes.goal)
@@ -58,7 +58,8 @@ def check_lanes(problem: Problem, num_lanes: int, seed: int) -> None:
 def _replacements(allowed: Bool[Array, " N"]) -> Int[Array, " N"]:
     """Return for each lane its own number if it is allowed, else the next allowed lane's."""
     num_lanes = allowed.shape[0]
-    lanes = jnp.arange(num_lanes)
-    ahead = jnp.where(jnp.concatenate([allowed, allowed]), jnp.arange(2 * num_lanes), 2 * num_lanes)
+    lanes = jnp.arange(num_lanes, dtype=jnp.int32)
+    twice = jnp.arange(2 * num_lanes, dtype=jnp.int32)
+    ahead = jnp.where(jnp.concatenate([allowed, allowed]), twice, 2 * num_lanes)
     following = jax.lax.cummin(ahead, reverse=True)[:num_lanes]
     return jnp.where(following < 2 * num_lanes, following % num_lanes, lanes)

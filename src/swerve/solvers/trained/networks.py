@@ -27,12 +27,12 @@ class DenseNetwork(eqx.Module):
         keys = jax.random.split(key, len(sizes) - 1)
         scales = [1.0] * (len(sizes) - 2) + [last_scale]
         self.weights = [
-            scale * jax.random.normal(layer_key, (outputs, inputs)) / inputs**0.5
+            scale * jax.random.normal(layer_key, (outputs, inputs), jnp.float32) / inputs**0.5
             for layer_key, scale, inputs, outputs in zip(
                 keys, scales, sizes[:-1], sizes[1:], strict=True
             )
         ]
-        self.biases = [jnp.zeros(outputs) for outputs in sizes[1:]]
+        self.biases = [jnp.zeros(outputs, jnp.float32) for outputs in sizes[1:]]
 
     def __call__(self, x: Float[Array, " in"]) -> Float[Array, " out"]:
         """Return the output for one input."""
@@ -47,6 +47,22 @@ def to_arrays(tree: Any) -> dict[str, np.ndarray]:
 
 
 def from_arrays(like: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """Rebuild the tree that `to_arrays` took apart, from another tree of the same form."""
-    leaves = [jnp.asarray(arrays[str(k)]) for k in range(len(arrays))]
-    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+    """Rebuild the tree that `to_arrays` took apart, from another tree of the same form.
+
+    Raises:
+      ValueError: if an array is missing, unknown, of another shape or kind, or holds NaN.
+    """
+    leaves, form = jax.tree.flatten(like)
+    names = [str(k) for k in range(len(leaves))]
+    if set(arrays) != set(names):
+        raise ValueError(f"expected {len(names)} arrays of numbers, got {len(arrays)}")
+    for name, leaf in zip(names, leaves, strict=True):
+        array, kind = arrays[name], np.dtype(jnp.result_type(leaf)).kind
+        if (array.shape, array.dtype.kind) != (np.shape(leaf), kind):
+            raise ValueError(
+                f"array {name!r}: expected kind {kind!r} and shape {np.shape(leaf)}, got "
+                f"{array.dtype.kind!r} and {array.shape}"
+            )
+        if kind == "f" and np.isnan(array).any():
+            raise ValueError(f"array {name!r}: expected numbers, got NaN")
+    return jax.tree.unflatten(form, [jnp.asarray(arrays[name]) for name in names])

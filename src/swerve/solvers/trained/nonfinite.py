@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import enters
 from swerve.solvers.trained.lanes import Lanes
@@ -49,7 +50,7 @@ def check_steps(problem: Problem, visited: Lanes) -> None:
     if name not in (SAMPLED, "features"):
         action = int(np.argwhere(bad[name][row])[0, 0])
         value = value[action]
-        where += f" with action {action}, {_numbers(problem.mdp.actions[action])}"
+        where += f" with action {action}, {_numbers(actions_of(problem.mdp)[action])}"
     raise ValueError(
         f"{type(problem.mdp).__name__}.{name} returned {_numbers(value)} {where}: expected finite "
         "numbers"
@@ -73,7 +74,7 @@ def _ask(problem: Problem, lanes: Lanes) -> tuple[Array, ...]:
     @jax.vmap
     def ask(lane: Lanes) -> tuple[Array, ...]:
         sampled = jnp.concatenate([lane.state, lane.goal])
-        actions = jnp.asarray(mdp.actions)
+        actions = actions_of(mdp)
         return sampled, mdp.features(*lane), *jax.vmap(act, (None, 0))(lane, actions)
 
     return ask(lanes)

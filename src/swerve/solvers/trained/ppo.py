@@ -209,7 +209,7 @@ class PPOTrainer(Trainer):
     def descend(self, loss: Any, network: DenseNetwork, state: Any, batch: Batch) -> tuple:
         """Take one optimiser step on a loss."""
         updates, state = self.optimiser.update(jax.grad(loss)(network, batch), state)
-        return eqx.apply_updates(network, updates), state
+        return optax.apply_updates(cast(Any, network), updates), state
 
     def policy_loss(self, policy: DenseNetwork, batch: Batch) -> Array:
         """Return the mean clipped surrogate of a minibatch."""

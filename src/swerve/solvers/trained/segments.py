@@ -91,11 +91,11 @@ def roll_segment(
     fresh = jax.vmap(lambda key: fresh_lanes(problem, key, num_lanes, sizes.explore))(
         jax.random.split(key_fresh, sizes.segment)
     )
-    uniforms = jax.random.uniform(key_actions, (sizes.segment, num_lanes))
+    uniforms = jax.random.uniform(key_actions, (sizes.segment, num_lanes), jnp.float32)
     explores = (jnp.arange(num_lanes) < sizes.explore * num_lanes) & restart
     lanes = jax.tree.map(lambda new, old: jnp.where(explores, new[0], old), fresh, lanes)
 
-    place = (jnp.arange(num_lanes) * GOLDEN) % 1.0
+    place = (jnp.arange(num_lanes, dtype=jnp.float32) * GOLDEN) % 1.0
 
     def advance(lanes: Lanes, fresh: Lanes, uniform: Array, place: Array) -> tuple[Lanes, Segment]:
         log_probabilities, seen = look(lanes, place)

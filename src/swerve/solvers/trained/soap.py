@@ -81,8 +81,8 @@ def _moments(weights: Array) -> Moments:
     return Moments(
         jnp.zeros_like(weights),
         jnp.zeros_like(weights),
-        tuple(jnp.zeros((side, side)) for side in sides),
-        tuple(jnp.eye(side) for side in sides),
+        tuple(jnp.zeros((side, side), jnp.float32) for side in sides),
+        tuple(jnp.eye(side, dtype=jnp.float32) for side in sides),
     )
 
 
@@ -90,7 +90,7 @@ def _step(gradient: Array, moments: Moments, num_updates: Int[Array, ""]) -> tup
     """Return the step for one array, before scaling by the rate, and the moments after the step."""
     mean = _follow(moments.mean, gradient)
     square = _follow(moments.square, _turned(gradient, moments.basis) ** 2)
-    unbiased = 1.0 - DECAY**num_updates
+    unbiased = (1.0 - DECAY**num_updates).astype(jnp.float32)
     step = _turned(mean, moments.basis) / unbiased / (jnp.sqrt(square / unbiased) + EPSILON)
     step = _turned(step, tuple(basis.T for basis in moments.basis))
     if gradient.ndim != 2:

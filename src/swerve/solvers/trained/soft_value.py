@@ -53,6 +53,7 @@ ADAPTING_STEPS = 1_000_000  # environment steps of a round, at least, however fe
 ADAPTING_ROUNDS = 5  # rounds of adapting to a constraint in force, at most
 DOOMED_MARGIN = 100.0
 """Nats below the least unconstrained value, for states that cannot avoid the constraint."""
+NEAR_FLOOR = 0.9  # share of the floor: values below were meant to be the floor
 NUM_ASKED = 4096  # states in which the least unconstrained value is looked for
 
 
@@ -194,9 +195,15 @@ class SoftValuePolicy(LookAhead):
         """Inverse temperature of the policy."""
         return self.problem.beta * jnp.exp(self.log_beta)
 
+    @property
+    def least_value(self) -> float:
+        """Soft values below this one [nats] stand for states that known constraints close in."""
+        return NEAR_FLOOR * self.settings.floor
+
     def at(self, log_beta: float | Float[Array, ""]) -> SoftValuePolicy:
         """Return the policy for another beta, given its log relative to the problem's."""
-        return SoftValuePolicy(self.problem, self.settings, self.network, jnp.asarray(log_beta))
+        log = jnp.asarray(log_beta, jnp.float32)
+        return SoftValuePolicy(self.problem, self.settings, self.network, log)
 
     def value(
         self, state: Float[Array, " n"], step: Int[Array, ""], goal: Float[Array, " g"]
@@ -209,7 +216,7 @@ class SoftValuePolicy(LookAhead):
     ) -> tuple[Float[Array, " F"], Float[Array, ""]]:
         """Return the features of a state, and beta r_T, faded with the time to go [nats]."""
         mdp, settings = self.problem.mdp, self.settings
-        share_to_go = (mdp.num_steps - step) / mdp.num_steps
+        share_to_go = (mdp.num_steps - jnp.asarray(step, jnp.float32)) / mdp.num_steps
         terminal = jnp.maximum(self.beta * mdp.terminal_reward(state, goal), LOWEST)
         shape = terminal * jnp.exp(-share_to_go / settings.fade)
         features = mdp.features(state, step, goal)
@@ -232,7 +239,7 @@ class SoftValueTrainer(NetworkTrainer):
 
     def policy(self, network: DenseNetwork) -> SoftValuePolicy:
         """Return the look-ahead policy of a network."""
-        return SoftValuePolicy(self.problem, self.settings, network, jnp.zeros(()))
+        return SoftValuePolicy(self.problem, self.settings, network, jnp.float32(0.0))
 
     def probed(self, state: NetworkState) -> list[tuple[SoftValuePolicy, float]]:
         """Return the policies for the problem's beta and for the ends of the span of betas."""
@@ -285,7 +292,7 @@ def least_value(policy: SoftValuePolicy, seed: int) -> float:
     mdp = policy.problem.mdp
     key_state, key_step, key_task = jax.random.split(jax.random.key(seed), 3)
     states = jax.vmap(mdp.sample_state)(jax.random.split(key_state, NUM_ASKED))
-    steps = jax.random.randint(key_step, (NUM_ASKED,), 0, mdp.num_steps)
+    steps = jax.random.randint(key_step, (NUM_ASKED,), 0, mdp.num_steps, jnp.int32)
     goals = jax.vmap(mdp.sample_task)(jax.random.split(key_task, NUM_ASKED)).goal
     values = np.asarray(jax.vmap(policy.value)(states, steps, goals))
     return float(values[values > 0.5 * LOWEST].min(initial=0.0))

@@ -10,11 +10,10 @@ axis of every array.
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
@@ -95,15 +94,20 @@ class Trainer(abc.ABC):
         state = optax.tree_utils.tree_set(state, count=count)  # of schedule and optimiser
         return state._replace(iteration=jnp.int32(iteration))
 
-    @partial(jax.jit, static_argnums=(0, 2))
     def run(self, state: Any, num_iterations: int) -> tuple[Any, SegmentInfo]:
         """Run iterations of training in one scan; return the last state and how each went [I]."""
-        return jax.lax.scan(self.iterate, state, None, length=num_iterations)
+        return self._run(state, num_iterations)
 
-    @partial(jax.jit, static_argnums=0)
+    @cached_property
+    def _run(self) -> Callable[[Any, int], tuple[Any, SegmentInfo]]:
+        """Function `run`, compiled; it is dropped with this trainer."""
+        return jax.jit(
+            lambda state, num: jax.lax.scan(self.iterate, state, None, length=num), static_argnums=1
+        )
+
     def visited(self, state: Any) -> Lanes:
         """Return where the lanes go in the iteration that begins in a state, [L, ..., N]."""
-        return self.rollout(state)[1].lanes
+        return jax.jit(lambda state: self.rollout(state)[1].lanes)(state)
 
     def rollout(self, state: Any) -> tuple[Lanes, Segment]:
         """Roll out one segment in all lanes."""
@@ -190,4 +194,4 @@ class NetworkTrainer(Trainer):
         """Take one optimiser step on one minibatch."""
         network, state = carry
         updates, state = self.optimiser.update(jax.grad(self.loss)(network, batch), state)
-        return (eqx.apply_updates(network, updates), state), None
+        return (optax.apply_updates(cast(Any, network), updates), state), None

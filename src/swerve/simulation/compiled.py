@@ -1,0 +1,60 @@
+"""Compile functions of a problem once for each problem, and drop them with the problem.
+
+JAX keeps what `jax.jit` compiled for as long as the function lives, with every object that an
+argument holds beside its arrays. A function of a module lives for ever, and so would each problem
+that it was called with. Here the compiled functions belong to the problem, and take arrays alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import numpy as np
+
+from swerve.problem.problem import Problem
+
+MOST = 64  # compiled functions that a problem keeps: policies without a common form may be many
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def of_problem(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Return a function compiled by JAX once for each problem and each form of its arguments.
+
+    Args:
+      function: its first argument is the problem, or a policy with a problem. Arrays inside its
+        arguments are traced; everything else is fixed, and must be hashable.
+    """
+
+    @wraps(function)
+    def call(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        first: Any = arguments[0]
+        kept = (first if isinstance(first, Problem) else first.problem).compiled
+        leaves, form = jax.tree.flatten((arguments, named))
+        fixed = tuple(None if _is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
+        key = function, form, fixed
+        if key not in kept and len(kept) >= MOST:
+            kept.pop(next(iter(kept)), None)
+        run = kept.setdefault(key, jax.jit(_of_arrays(*key)))
+        return run([leaf for leaf in leaves if _is_array(leaf)])
+
+    return call
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
+
+
+def _of_arrays(function: Callable[..., Any], form: Any, fixed: tuple) -> Callable[[list], Any]:
+    """Return a function of the arrays among the leaves of the arguments; the rest are fixed."""
+
+    def run(arrays: list) -> Any:
+        left = iter(arrays)
+        leaves = [next(left) if item is None else item[1] for item in fixed]
+        arguments, named = jax.tree.unflatten(form, leaves)
+        return function(*arguments, **named)
+
+    return run
