@@ -19,7 +19,14 @@ import numpy as np
 
 from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
-from swerve.evidence.samples import EXACT, NUM_ISLANDS, Samples, log_weights, summarise
+from swerve.evidence.samples import (
+    EXACT,
+    NUM_ISLANDS,
+    Samples,
+    kept_paths,
+    log_weights,
+    summarise,
+)
 from swerve.problem.record import ProblemRecord
 
 if TYPE_CHECKING:
@@ -126,7 +133,7 @@ def exact_evidence(
         log_correction=np.zeros((1, len(kept.length))),
         ancestor=np.arange(len(kept.length))[None],
         violations=kept.violations[None],
-        kept=kept.states[None],
+        kept=kept_paths(kept.states)[None],
         soft_value=np.array([log_partition]),
     )
     samples = numbers._replace(log_probability=log_weights(record, numbers) - log_partition)

@@ -1,11 +1,12 @@
 """Reduce sampled trajectories to numbers and bits, and sum these up in small tables.
 
-Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M kept trajectories, T steps,
-n states.
+Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M kept trajectories, L states
+of the longest kept trajectory, n state dimensions.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -52,7 +53,8 @@ class Samples(NamedTuple):
         resampling.
       ancestor: [K, N] index of the trajectory at the start from which each trajectory descends.
       violations: [K, N, B] packed bits, set where trajectory n enters hypothesis h.
-      kept: [K, M, T+1, n] a few whole trajectories, chosen by weight, for pictures.
+      kept: [K, M, L, n] a few whole trajectories, chosen by weight, for pictures; float32, and each
+        rests in its last state.
       soft_value: [K] log Z_0 by the solver's own soft value at the beta of the sampling, nats; NaN
         where the solver has no soft value, -inf where by the solver known constraints close the
         start in.
@@ -133,7 +135,7 @@ def summarise(
     for k, log_weight in enumerate(importance + samples.log_correction):
         used = weights[k]
         log_partition = estimators.log_partition(log_weight)
-        kept, ancestor = samples.kept[k], samples.ancestor[k]
+        kept, ancestor = samples.kept[k].astype(float), samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
         of_islands = _of_islands(used, samples.violations[k], num_hypotheses)
         estimate = estimators.avoid_probability(used, samples.violations[k], num_hypotheses)
@@ -162,6 +164,30 @@ def summarise(
             )
         )
     return Summary(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def kept_paths(states: np.ndarray) -> np.ndarray:
+    """Return trajectories [M, T+1, n] as float32, cut where all of them rest.
+
+    Two states stay at least: the speed of a trajectory is that between its states.
+    """
+    moves = (states[:, 1:] != states[:, :-1]).any(axis=(0, 2))
+    last = int(np.flatnonzero(moves).max(initial=0))
+    return states[:, : last + 2].astype(np.float32)
+
+
+def joined_samples(parts: Sequence[Samples]) -> Samples:
+    """Return the samples of all tasks of several evidences."""
+    longest = max(part.kept.shape[2] for part in parts)
+    rested = [
+        part._replace(
+            kept=np.pad(
+                part.kept, [(0, 0), (0, 0), (0, longest - part.kept.shape[2]), (0, 0)], "edge"
+            )
+        )
+        for part in parts
+    ]
+    return Samples(*map(np.concatenate, zip(*rested, strict=True)))
 
 
 def islands(num_trajectories: int) -> list[np.ndarray]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swerve.base.phrases import counted, cut, measured, plural, probability, shown, times
+from swerve.base.phrases import counted, cut, measured, plural, probability, times
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.inference.ranking import TIE_ERRORS, Ranking
@@ -159,7 +159,7 @@ def noun(inference: Ranking) -> str:
 
 def hypothesis(inference: Ranking, index: int) -> str:
     """Return the index and the name of a hypothesis: 'cell 55: theta [3.14, 3.77)'."""
-    return f"{noun(inference)} {index}: {shown(inference.hypothesis_name(index))}"
+    return f"{noun(inference)} {index}: {inference.hypothesis_name(index)}"
 
 
 def short_hypothesis(inference: Ranking, index: int) -> str:
