@@ -4,7 +4,8 @@ Within dt seconds a component of the state may change by at most
 
     FAST v dt + JITTER extent,
 
-where v is the fastest change of this component in nominal trajectories of the task.
+where v is the fastest change of this component in nominal trajectories of the task. Where the
+evidence tells how states move, the states are held against the dynamics too (see `motion_watch`).
 
 Shapes: n state dimensions.
 """
@@ -17,6 +18,7 @@ from swerve.base.space import TWO_PI
 from swerve.constraints.base import violates
 from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
 from swerve.evidence.evidence import Evidence
+from swerve.monitoring.motion_watch import MotionWatch
 
 LATE = "late start"
 OUTSIDE = "outside the bounds"
@@ -27,6 +29,7 @@ GAP = "gap"
 OVERTIME = "past the horizon"
 SHORT = "cut short"
 KNOWN = "in a known constraint"
+AGAINST = "against the dynamics"
 
 
 class StateChecks:
@@ -41,21 +44,26 @@ class StateChecks:
 
     def __init__(self, evidence: Evidence, number: int) -> None:
         self._problem = evidence.problem
+        self._is_timed = evidence.problem.is_timed
         space = evidence.problem.space
         limits = space.bounds + [-START_TOLERANCE, START_TOLERANCE] * space.extent[:, None]
         limits[space.is_angle] = -np.inf, np.inf
         self._bounds = limits.tolist()
-        self._is_angle = space.is_angle.tolist()
+        self._angles = np.flatnonzero(space.is_angle).tolist()
         self._start = np.asarray(evidence.tasks.start[number], float).tolist()
         self._fastest = (FAST * evidence.summary.fastest[number]).tolist()
         self._shortest = float(evidence.summary.shortest[number])
         self._jitter = (JITTER * space.extent).tolist()
         self._near_start = (START_TOLERANCE * space.unit).tolist()
+        motion = evidence.motion
+        self._watch = None if motion is None else MotionWatch(motion, space)
 
     def of_first(self, values: list[float], now: float) -> tuple[str, ...]:
         """Return the flags of the first state, n values at a time [s]."""
-        is_late = now > 0.5 * self._problem.dt
-        is_late = is_late or self._differs(values, self._start, self._near_start)
+        is_late = self._is_timed and now > 0.5 * self._problem.dt
+        is_late = is_late or self._exceed(self._moved(values, self._start), self._near_start)
+        if self._watch is not None:
+            self._watch.begin(values)
         return (*([LATE] if is_late else []), *self._of_place(values, values, now))
 
     def of_next(
@@ -69,18 +77,27 @@ class StateChecks:
 
     def of_end(self, now: float) -> tuple[str, ...]:
         """Return the flags of a demonstration that ends at a time [s]."""
-        return (SHORT,) if now < (1.0 - TIME_SLACK) * self._shortest else ()
+        is_short = self._is_timed and now < (1.0 - TIME_SLACK) * self._shortest
+        return (SHORT,) if is_short else ()
 
     def _of_step(self, values: list[float], elapsed: float, last: list[float]) -> list[str]:
         """Return the flags of the step from the last state to this one, in `elapsed` seconds."""
         if elapsed == 0.0:
+            if self._watch is not None:
+                self._watch.begin(values)
             return [CONFLICTING]
-        flags = [GAP] if elapsed > COARSE * self._problem.dt else []
+        dt = self._problem.dt
+        flags = [GAP] if self._is_timed and elapsed > COARSE * dt else []
+        if not self._is_timed:  # however quickly the demonstrator moves, a move is a move
+            elapsed = max(elapsed, dt)
         pairs = zip(self._fastest, self._jitter, strict=True)
         reach = [speed * elapsed + slack for speed, slack in pairs]
-        if self._differs(values, last, reach):
-            flags.append(UNREACHABLE)
-        return flags
+        moved = self._moved(values, last)
+        is_jump, is_against = self._exceed(moved, reach), False
+        if self._watch is not None:
+            is_beyond, is_against = self._watch.step(values, moved, elapsed)
+            is_jump = is_jump or is_beyond
+        return flags + [UNREACHABLE] * is_jump + [AGAINST] * is_against
 
     def _of_place(self, values: list[float], last: list[float], now: float) -> list[str]:
         """Return the flags of a state's place and time."""
@@ -89,23 +106,22 @@ class StateChecks:
             if not low <= value <= high:
                 flags.append(OUTSIDE)
                 break
-        if now > (problem.num_steps + 0.5) * problem.dt:
+        if self._is_timed and now > (problem.num_steps + 0.5) * problem.dt:
             flags.append(OVERTIME)
         if problem.known and self._enters_known(last, values):
             flags.append(KNOWN)
         return flags
 
-    def _differs(self, values: list[float], others: list[float], limits: list[float]) -> bool:
-        """Return whether two states differ by more than limits, with angles by the shorter arc."""
-        for value, other, limit, is_angle in zip(
-            values, others, limits, self._is_angle, strict=True
-        ):
-            moved = value - other
-            if is_angle:
-                moved -= TWO_PI * round(moved / TWO_PI)
-            if abs(moved) > limit:
-                return True
-        return False
+    def _moved(self, values: list[float], last: list[float]) -> list[float]:
+        """Return the change from one state to another, with angles by the shorter arc."""
+        moved = [value - other for value, other in zip(values, last, strict=True)]
+        for i in self._angles:
+            moved[i] -= TWO_PI * round(moved[i] / TWO_PI)
+        return moved
+
+    def _exceed(self, moved: list[float], limits: list[float]) -> bool:
+        """Return whether a change is larger than the limits in any component."""
+        return any(abs(change) > limit for change, limit in zip(moved, limits, strict=True))
 
     def _enters_known(self, last: list[float], values: list[float]) -> bool:
         """Return whether the step from the last state to this one enters a known constraint."""

@@ -37,6 +37,7 @@ class ProblemRecord:
       goal_is_last_state: whether the MDP keeps the default `MDP.goal_of`.
       mdp_digest: hash of the MDP's class name, parameters and actions.
       transitions: transitions of a tabular MDP; None for other MDPs.
+      is_timed: as in `MDP`; of no account for the fingerprint, as no number depends on it.
       Other attributes: as in `Problem` and `MDP`.
     """
 
@@ -55,6 +56,7 @@ class ProblemRecord:
     between_states: bool
     mdp_digest: str
     transitions: Transitions | None = None
+    is_timed: bool = True
 
     @property
     def needs_code(self) -> bool:
@@ -64,7 +66,9 @@ class ProblemRecord:
     @property
     def fingerprint(self) -> str:
         """A hash of the model, the hypotheses and all settings."""
-        return digest(json.dumps(self.to_json()))  # not sorted: the order of a grid's axes counts
+        data = self.to_json()
+        del data["is_timed"]
+        return digest(json.dumps(data))  # not sorted: the order of a grid's axes counts
 
     @property
     def summary(self) -> str:

@@ -42,6 +42,7 @@ class TabularMDP(MDP):
         rewards: eqx.AbstractVar[np.ndarray]
 
     dt = 1.0
+    is_timed = False
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:

@@ -55,6 +55,7 @@ class Walker(MDP):
     reach: float = eqx.field(static=True, default=0.3)
     num_steps: int = eqx.field(static=True, default=1000)
 
+    is_timed = False  # people take their time, and the moves differ in length
     state_names = ("x", "y")
     action_names = ("dx", "dy")
 

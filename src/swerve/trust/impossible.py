@@ -1,0 +1,314 @@
+"""Find demonstrations that the dynamics do not allow, and what would explain them.
+
+A component i of the state misses the dynamics in a window of rows by
+
+    m_i = |moved_i - predicted_i| - slack_i,
+
+where the slack is what actions and the straight lines between rows can explain (see
+`evidence.motion`). A window is impossible where m_i exceeds RELATIVE of the motion and JITTER of
+the extent. Windows of several lengths are tried: noise hides what single rows say, and long windows
+hide what comes and goes. One wrong row, which no window of usual motion shows, is looked for by
+itself.
+
+Shapes: L rows, n state dimensions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swerve.base.space import StateSpace
+from swerve.demonstrations.checks import (
+    FAST,
+    IMPOSSIBLE_SHARE,
+    JITTER,
+    LEAST_MOTION,
+    RELATIVE,
+    STRENGTH,
+)
+from swerve.demonstrations.demonstration import Demonstration
+from swerve.evidence.motion import STRAYING, Motion, Steps
+from swerve.problem.record import ProblemRecord
+
+WINDOWS = (1, 4, 16, 64)  # rows
+LEAST_WINDOWS = 4  # of a demonstration: fewer windows say little
+FAR = 3.0  # half widths from the middle of the bounds: the fit says nothing of states beyond
+USUAL_ERRORS = 6.0  # times the median error of a demonstration: a larger one is a glitch
+LEAST_JUDGED = 0.5  # share of the steps that must lie near the bounds for a cause to be believed
+EXPLAINED = 0.1  # share of the motion that may stay impossible where a cause explains the rest
+FEW = 3  # impossible windows: with a single step that is far off, these are a glitch
+ALIKE = 0.01  # share of the motion: causes whose misfits differ by less are all named
+STRICT = 1.5  # STRENGTH in the search for another rate, which makes all actions seem too weak
+RATES = (0.5, 2.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1 / 60, 60.0, 1e-6, 1e-9)
+"""Factors that t may have to be multiplied by."""
+
+UNITS = {
+    math.pi / 180: "degrees in place of radians",
+    180 / math.pi: "radians in place of degrees",
+    0.001: "thousandths, such as mm in place of m",
+    1000.0: "thousands, such as m in place of mm",
+    0.01: "hundredths, such as cm in place of m",
+    100.0: "hundreds, such as m in place of cm",
+    0.3048: "feet in place of m",
+    1 / 3.6: "km/h in place of m/s",
+    60.0: "per minute in place of per second",
+}
+"""Factors that a column may have to be multiplied by, and what the column would then be in."""
+
+GLITCH = "A glitch of the recording, or rows that are left out, swapped or repeated?"
+UNKNOWN = "A wrong sign, columns swapped, another unit, or another rate?"
+TINY = 1e-300  # for sums of motions that may be 0
+
+
+class Finding(NamedTuple):
+    """The worst of what is impossible.
+
+    Attributes:
+      share: share of the motion in this component that is impossible.
+      num_bad: number of windows that are impossible.
+      column: the component of the state.
+      first: first row of the worst window.
+      last: last row of the worst window.
+      moved: change of the component in the window.
+      predicted: change by the dynamics.
+    """
+
+    share: float
+    num_bad: int
+    column: int
+    first: int
+    last: int
+    moved: float
+    predicted: float
+
+
+class _Recording(NamedTuple):
+    """The rows of a demonstration until it comes to rest, and what they are held against.
+
+    Attributes:
+      states: [L, n].
+      elapsed: [L-1] s between the rows; None where it is not known.
+      problem: the problem.
+      motion: how states of the problem move.
+    """
+
+    states: np.ndarray
+    elapsed: np.ndarray | None
+    problem: ProblemRecord
+    motion: Motion
+
+    @property
+    def steps(self) -> Steps:
+        """The steps; without times, of the duration that leaves least impossible.
+
+        That is one step of the model, an even share of an episode, or what the motion of one
+        component tells.
+        """
+        states, space = self.states, self.problem.space
+        if self.elapsed is not None:
+            return self._steps(self.elapsed)
+        num, motion = len(states) - 1, self.motion
+        moved = np.abs(space.difference(states[:-1], states[1:])).mean(axis=0)
+        rates = np.abs(motion.rates(states[:-1], space)).mean(axis=0)
+        is_told = rates > motion.reach + motion.error  # by the state, whatever the actions
+        durations = [self.problem.dt, self.problem.num_steps * self.problem.dt / num]
+        durations += (moved[is_told] / rates[is_told]).tolist()
+        each = [self._steps(np.full(num, duration)) for duration in durations]
+        return min(each, key=lambda steps: self.worst(steps).share)
+
+    def _steps(self, elapsed: np.ndarray) -> Steps:
+        """Return the steps, all 0 where a state is too far outside the bounds for the fit."""
+        space, motion = self.problem.space, self.motion
+        offset = np.abs(self.states - space.bounds.mean(axis=1)) / (0.5 * space.extent)
+        offset = np.where(space.is_angle, 0.0, offset).max(axis=1)
+        steps = motion.steps(self.states, elapsed, space)
+        if (offset <= 1.0).all():
+            return steps
+        beyond = np.maximum(np.maximum(offset[1:], offset[:-1]), 1.0)[:, None]
+        bend = steps.bend + steps.duration * (beyond**2 - 1.0) * motion.error
+        return Steps(*(np.where(beyond <= FAR, x, 0.0) for x in steps._replace(bend=bend)))
+
+    def worst(self, steps: Steps, strength: float = STRENGTH) -> Finding:
+        """Return the component of which the largest share of the motion is impossible.
+
+        Args:
+          steps: steps of this recording.
+          strength: how many times as strong as the model's the actions may have been.
+        """
+        slack = steps.bend + steps.duration * (strength * self.motion.reach + self.motion.error)
+        parts = np.hstack([steps.moved, steps.predicted, slack])
+        findings = []
+        for width in WINDOWS:
+            starts = np.arange(0, len(parts), width)
+            if width > 1 and len(starts) < LEAST_WINDOWS:
+                break
+            sums = np.add.reduceat(parts, starts, axis=0) if width > 1 else parts
+            moved, predicted, allowed = np.split(sums, 3, axis=1)
+            findings.append(_worst_window(moved, predicted, allowed, width, self.problem.space))
+        found = max(findings, key=lambda finding: finding.share)
+        return found._replace(last=min(found.last, len(parts)))
+
+    def mismatch(self, steps: Steps, column: int) -> float:
+        """Return the share of the motion of a component that the dynamics do not explain."""
+        starts = np.arange(0, len(steps.moved), min(WINDOWS[2], max(1, len(steps.moved) // 4)))
+        moved, predicted = (
+            np.add.reduceat(part[:, column], starts) for part in (steps.moved, steps.predicted)
+        )
+        size = np.maximum(np.abs(moved), np.abs(predicted)).sum()
+        return float(np.abs(moved - predicted).sum() / max(size, TINY))
+
+
+def _worst_window(
+    moved: np.ndarray, predicted: np.ndarray, slack: np.ndarray, width: int, space: StateSpace
+) -> Finding:
+    """Return what is impossible in windows [W, n] of the same width."""
+    size = np.maximum(np.abs(moved), np.abs(predicted))
+    missed = np.abs(moved - predicted) - slack - RELATIVE * size - JITTER * space.extent
+    bad = np.where((missed > 0.0) & (size > LEAST_MOTION * space.extent), size, 0.0)
+    share = bad.sum(axis=0) / np.maximum(size.sum(axis=0), TINY)
+    i = int(share.argmax())
+    k = int(bad[:, i].argmax())
+    change = float(moved[k, i]), float(predicted[k, i])
+    num_bad = int(np.count_nonzero(bad[:, i]))
+    return Finding(float(share[i]), num_bad, i, k * width, (k + 1) * width, *change)
+
+
+def against_dynamics(demonstration: Demonstration, problem: ProblemRecord, motion: Motion) -> str:
+    """Return what of a demonstration the dynamics do not allow, in words; '' if they allow all."""
+    states, times = _moving(demonstration.states), demonstration.times
+    if len(states) < 3:
+        return ""
+    elapsed = None if times is None else np.diff(times[: len(states)])
+    recording = _Recording(states, elapsed, problem, motion)
+    steps = recording.steps
+    strict = recording.worst(steps, STRICT)
+    found, cause = strict, ""
+    if strict.share > IMPOSSIBLE_SHARE:
+        found = recording.worst(steps)
+        if found.share > IMPOSSIBLE_SHARE:
+            cause = _cause(recording, found)
+        else:
+            found, cause = strict, _best(_other_rates(recording, strict, STRICT))
+    glitch = _glitch(steps, problem.space, motion)
+    if cause or (found is not strict and (glitch is None or found.num_bad > FEW)):
+        return _text(found, demonstration, problem, motion, cause)
+    return "" if glitch is None else _text(glitch, demonstration, problem, motion, GLITCH)
+
+
+def _glitch(steps: Steps, space: StateSpace, motion: Motion) -> Finding | None:
+    """Return the step that misses the dynamics by far more than the other steps, or None.
+
+    A row that is off by itself misses them twice, to either side: then even actions of the model's
+    own strength are no excuse.
+    """
+    signed = steps.moved - steps.predicted
+    error, middle = np.abs(signed), len(signed) // 2
+    usual = USUAL_ERRORS * np.partition(error, middle, axis=0)[middle]
+    other = FAST * steps.bend + JITTER * space.extent + usual
+    beyond = error - other - steps.duration * (STRENGTH * motion.reach + motion.worst)
+    returns = np.where(signed[1:] * signed[:-1] < 0.0, np.minimum(error[1:], error[:-1]), 0.0)
+    reach = steps.duration * np.maximum(FAST * motion.reach, motion.worst)
+    beyond[:-1] = np.maximum(beyond[:-1], returns - (other + reach)[:-1])
+    beyond /= space.extent
+    row, i = (int(k) for k in np.unravel_index(int(beyond.argmax()), beyond.shape))
+    if beyond[row, i] <= 0.0:
+        return None
+    change = float(steps.moved[row, i]), float(steps.predicted[row, i])
+    return Finding(0.0, 1, i, row, row + 1, *change)
+
+
+def _moving(states: np.ndarray) -> np.ndarray:
+    """Return the states [L, n] up to the first of those at the end that are all the same."""
+    differs = np.flatnonzero((states != states[-1]).any(axis=1))
+    return states[: differs[-1] + 2] if len(differs) else states[:1]
+
+
+def _cause(recording: _Recording, found: Finding) -> str:
+    """Return the mistake without which the rows after the first fit the dynamics; '' if unknown.
+
+    The first row may be right where a task names it.
+    """
+    states, names = recording.states[1:], recording.problem.space.names
+    elapsed = None if recording.elapsed is None else recording.elapsed[1:]
+    rest = recording._replace(states=states, elapsed=elapsed)
+    numbers = range(len(names))
+
+    def misfit(changed: np.ndarray) -> float:
+        return _misfit(rest._replace(states=changed), found.column)
+
+    signs = [name for i, name in enumerate(names) if misfit(_scaled(states, i, -1.0)) < RELATIVE]
+    if signs:
+        return f"It fits with the sign of {' or of '.join(signs)} reversed"
+    for i, j in itertools.combinations(numbers, 2):
+        order = [j if k == i else i if k == j else k for k in numbers]
+        if misfit(states[:, order]) < RELATIVE:
+            return f"It fits with the columns {names[i]} and {names[j]} swapped"
+    units = {
+        f"with {names[i]} times {factor:.4g} ({unit})": misfit(_scaled(states, i, factor))
+        for (factor, unit), i in itertools.product(UNITS.items(), numbers)
+    }
+    return _best(units | _other_rates(rest, found))
+
+
+def _other_rates(
+    recording: _Recording, found: Finding, strength: float = STRENGTH
+) -> dict[str, float]:
+    """Return how far a recording misses the dynamics with other units of time."""
+    if recording.elapsed is None:
+        return {}
+    return {
+        f"with t times {factor:.4g} (another rate, or another unit of t)": _misfit(
+            recording._replace(elapsed=factor * recording.elapsed), found.column, strength
+        )
+        for factor in RATES
+    }
+
+
+def _best(misfits: dict[str, float]) -> str:
+    """Return the causes that leave least unexplained, in words; '' if all leave too much."""
+    least = min(misfits.values(), default=math.inf)
+    if least >= RELATIVE:
+        return ""
+    return "It fits " + ", or ".join(text for text, x in misfits.items() if x < least + ALIKE)
+
+
+def _misfit(recording: _Recording, column: int, strength: float = STRENGTH) -> float:
+    """Return the share of the motion of a component that is left unexplained.
+
+    The share is infinite where the recording does not fit the dynamics.
+    """
+    steps = recording.steps
+    is_judged = np.count_nonzero(steps.duration) > LEAST_JUDGED * len(steps.duration)
+    fits = is_judged and recording.worst(steps, strength).share < EXPLAINED
+    return recording.mismatch(steps, column) if fits else math.inf
+
+
+def _scaled(states: np.ndarray, column: int, factor: float) -> np.ndarray:
+    """Return states [L, n] with one component times a factor."""
+    changed = states.copy()
+    changed[:, column] *= factor
+    return changed
+
+
+def _text(
+    found: Finding, demonstration: Demonstration, problem: ProblemRecord, motion: Motion, cause: str
+) -> str:
+    """Return a finding in words that follow the name of the demonstration."""
+    name, dt, i = problem.space.names[found.column], problem.dt, found.column
+    residual = abs(found.moved - found.predicted)
+    step = dt * float(motion.reach[i] + STRAYING * dt * motion.turning[i])
+    worth = f", {residual / step:,.0f} times what the actions of a step can do" if step else ""
+    times = demonstration.times
+    at = "" if times is None else f" (t = {times[found.first]:.6g} s)"
+    share = (
+        f" {100 * found.share:.0f} % of its motion in {name} is like this." if found.share else ""
+    )
+    return (
+        f"does what the dynamics cannot: from row {found.first + 1}{at} to row {found.last + 1} "
+        f"{name} changes by {found.moved:.3g}, where the dynamics change it by "
+        f"{found.predicted:.3g}, a residual of {residual:.3g}{worth}.{share} {cause or UNKNOWN}"
+    )
