@@ -21,6 +21,7 @@ from swerve.base import store
 from swerve.base.arguments import positive_number
 from swerve.base.space import Task
 from swerve.evidence import matching
+from swerve.evidence.motion import Motion
 from swerve.evidence.quantities import Quantities
 from swerve.evidence.samples import REWEIGHED, Samples, Summary, summarise
 from swerve.problem.record import ProblemRecord
@@ -46,6 +47,8 @@ class Evidence(Quantities):
       summary: the estimates, in small tables.
       load_samples: function that returns the reduced trajectories, called on first use.
       sampling_beta: beta for which the trajectories were sampled; the problem's unless given.
+      motion: how states of the problem move, which demonstrations are held against; None where the
+        moves take no definite time, and in evidence of earlier versions.
     """
 
     @property
@@ -165,6 +168,7 @@ class Evidence(Quantities):
             tasks=_concatenated([evidence.tasks for evidence in everything]),
             summary=_concatenated([evidence.summary for evidence in everything]),
             load_samples=lambda: _concatenated([evidence.samples for evidence in everything]),
+            motion=next((e.motion for e in everything if e.motion is not None), None),
         )
 
     def save(self, path: str | Path) -> None:
@@ -177,7 +181,10 @@ class Evidence(Quantities):
             "seed": self.seed,
             "sampling_beta": self.sampling_beta,
         }
+        parts: dict[str, Any]
         parts = {"tasks": self.tasks, "summary": self.summary, "samples": self.samples}
+        if self.motion is not None:
+            parts["motion"] = self.motion
         arrays = {
             f"{part}/{name}": array
             for part, values in parts.items()
@@ -207,6 +214,7 @@ class Evidence(Quantities):
             summary=read(Summary, "summary"),
             load_samples=lambda: read(Samples, "samples"),
             sampling_beta=stored.header["sampling_beta"],
+            motion=read(Motion, "motion") if "motion/forms" in stored.names else None,
         )
 
 

@@ -31,6 +31,7 @@ from swerve.evidence.samples import EXACT, METHODS, RESAMPLED, TEMPERED, Samples
 from swerve.hypotheses.bits import num_bytes
 from swerve.problem.record import ProblemRecord
 from swerve.problem.tasks import checked_tasks
+from swerve.sampling.motion import motion_of
 from swerve.sampling.one_task import SamplingJob, sample_task, whole_islands
 from swerve.simulation.policies import ValuedPolicy
 from swerve.solvers.base import ManyBetasNominal, Nominal, PolicyNominal
@@ -155,7 +156,7 @@ def _answer_each(
             with _naming(k, task):
                 answer = nominal.answer(task, generator, advance)
                 evidence = exact_evidence(record, task, answer, repr(nominal.solver), seed)
-            yield k, evidence
+            yield k, dataclasses.replace(evidence, motion=motion_of(nominal.problem))
 
 
 def _sample_each(
@@ -208,6 +209,7 @@ def _sampled(job: SamplingJob, samples: Samples, nominal: PolicyNominal) -> Evid
         seed=job.seed,
         summary=summarise(job.record, samples, job.method),
         load_samples=lambda: samples,
+        motion=motion_of(job.problem),
     )
 
 

@@ -20,6 +20,7 @@ from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
 from swerve.trust import verdicts
+from swerve.trust.impossible import against_dynamics
 
 FAR_END = 0.05  # share of a state's extent: a demonstration that ends nearer its goal has arrived
 FACTOR = 2.0  # times the reach of nominal ends: an end beyond is odd
@@ -52,11 +53,13 @@ def _of_samples(inference: Ranking) -> Iterator[str]:
 def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[str, str]:
     """Return the oddities of a demonstration beside nominal trajectories, by kind of doubt."""
     is_known = evidence.is_exact or not evidence.has_too_few[task]
+    problem, motion = evidence.problem, evidence.motion
     found = {
         "end": _odd_end(demonstration, evidence, task) if is_known else "",
         "duration": _odd_duration(demonstration, evidence, task),
         "speed": _odd_speed(demonstration, evidence, task) or _jump(demonstration, evidence, task),
         "rate": _coarse(demonstration, evidence),
+        "dynamics": "" if motion is None else against_dynamics(demonstration, problem, motion),
     }
     return {kind: text for kind, text in found.items() if text}
 
