@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,8 @@ def test_several_constraints_one_after_another(
     robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
 ) -> None:
     """The first pick is the first of the ranking; the next gains less than it has alone."""
-    arguments = infer(robot, demonstrations, tmp_path / "work", "--solver", SOLVER, "--greedy", 2)
+    common = ("--solver", SOLVER, "--threshold", 0.1, "--greedy", 2)
+    arguments = infer(robot, demonstrations, tmp_path / "work", *common)
     status, out, _ = run(*arguments, "--json")
     assert status == 0
     answer = json.loads(out)
@@ -47,19 +49,58 @@ def test_several_constraints_one_after_another(
     assert first["gain"] == pytest.approx(first["total_gain"] / 4)
     assert first["log_odds"] == pytest.approx(answer["none"]["log_bayes_factor"])
     assert second["standard_error"] > 0.0
+    assert answer["greedy_ended"] == {"why": "most", "threshold": 0.1, "next": None}
     status, out, _ = run(*arguments)
     assert status == 0
     assert "pick  index      nats per demo     +-  log odds  hypothesis" in out
     assert f"    2 {second['index']:>6}  {second['total_gain']:>8.2f}" in out
     assert "as many as asked for: 2" in out
-    status, out, _ = run(*arguments[:-1], 40)
-    assert status == 0
-    assert (
-        "no other constraint explains 0.1 nats per demonstration, the least gain of a pick" in out
+
+
+def test_picking_ends_with_a_word_on_how_to_go_on(
+    robot: str, run: Run, demonstrations: list[Path], tmp_path: Path
+) -> None:
+    """Picks agree with the posterior beside them; a threshold picks what would come next."""
+    work = tmp_path / "work"
+    arguments = infer(robot, demonstrations, work, "--solver", SOLVER, "--greedy", 40)
+    for none in (0.5, 0.05):
+        status, out, _ = run(*arguments, "--prior-none", none, "--json")
+        assert status == 0
+        answer = json.loads(out)
+        assert bool(answer["greedy"]) == (answer["none"]["posterior"] <= 0.5)
+        ended = answer["greedy_ended"]
+        assert (ended["why"] == "odds") == (ended["next"] is not None)
+        assert ended["next"] is None or ended["next"]["log_odds"] < 0.0
+    assert answer["greedy"]
+    following = (
+        r"; next would be cell \d+: .*, for [\d.]+ nats, [\d.]+ per demonstration, at log odds "
+        r"-?[\d.]+ \(--threshold ([\d.]+) picks it\)"
     )
+    status, out, _ = run(*arguments, "--prior-none", 0.99)
+    ended = "nothing picked: one constraint, whichever it is, is less probable than none"
+    picks = 0
+    for _ in range(2):
+        found = re.search(ended + following, out)
+        assert found
+        status, out, _ = run(*arguments, "--threshold", found[1], "--json")
+        answer = json.loads(out)
+        assert len(answer["greedy"]) > picks
+        picks = len(answer["greedy"])
+        assert min(pick["gain"] for pick in answer["greedy"]) >= float(found[1])
+        assert answer["greedy_ended"]["next"]["gain"] < float(found[1])
+        status, out, _ = run(*arguments, "--threshold", found[1])
+        ended = f"no other constraint explains {found[1]} nats per demonstration, the threshold"
     for more, message in (
         (("--greedy", 0, demonstrations[0]), "--greedy: expected a number of picks >= 1, got 0"),
         (("--greedy", 2), "--greedy: constraints are picked from demonstrations"),
+        (
+            ("--greedy", 2, "--threshold", -0.5, demonstrations[0]),
+            "threshold: expected a number >= 0 (nats a demonstration), got -0.5",
+        ),
+        (
+            ("--threshold", 0.5, demonstrations[0]),
+            "--threshold: it tells when --greedy ends: give --greedy as well",
+        ),
     ):
         status, _, said = run("infer", robot, *more)
         assert status == 1
@@ -70,7 +111,8 @@ def test_exact_answers_are_worked_out_anew_for_each_pick(run: Run, tmp_path: Pat
     rows = ["x,y,dx,dy", "0,0,0,1", "0,1,1,1", "1,2,1,0", "2,2,1,-1", "3,1,0,-1", "3,0,0,0"]
     (tmp_path / "round.csv").write_text("\n".join(rows))
     problem = "gridworld?width=4&height=3&num_steps=6"
-    status, out, _ = run("infer", problem, tmp_path / "round.csv", "--greedy", 3, "--json")
+    more = ("--greedy", 3, "--threshold", 0.1, "--json")
+    status, out, _ = run("infer", problem, tmp_path / "round.csv", *more)
     assert status == 0
     picks = json.loads(out)["greedy"]
     assert len(picks) == 3
