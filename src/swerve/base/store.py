@@ -8,13 +8,17 @@ reading a summary does not read the large arrays stored beside it. Any ZIP tool 
 read the file too. Small records are JSON with the CRC-32 of their own canonical text.
 
 Files are written as in `files`: readers see the old content or the new content. Reading changes
-nothing.
+nothing, and takes no more memory than the file has bytes: only regular files are read, members are
+not compressed and together no larger than the file, the size of an array is that of its member, and
+JSON is limited in size and depth. `schema` checks what a file holds.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
+import os
 import re
 import zlib
 from collections.abc import Mapping
@@ -23,7 +27,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from swerve.base.files import AnyPath, replace, write_text
+from swerve.base import json_text
+from swerve.base.files import AnyPath, open_regular, replace, write_text
 
 if TYPE_CHECKING:
     import zipfile
@@ -56,9 +61,15 @@ class StoredFile:
     """
 
     def __init__(
-        self, path: Path, archive: zipfile.ZipFile, header: dict[str, Any], names: tuple[str, ...]
+        self,
+        path: Path,
+        file: BinaryIO,
+        archive: zipfile.ZipFile,
+        header: dict[str, Any],
+        names: tuple[str, ...],
     ) -> None:
         self.path = path
+        self._file = file
         self.header = header
         self.names = names
         self._archive = archive
@@ -77,13 +88,18 @@ class StoredFile:
             )
         data = io.BytesIO(_read_member(self.path, self._archive, f"{name}.npy"))
         try:
+            _check_size(data)
             return np.lib.format.read_array(data, allow_pickle=False)
-        except ValueError as error:
+        except Exception as error:  # a header that nobody wrote raises any of a dozen types
             raise _altered(self.path, f"array {name!r} cannot be read ({error})") from error
 
     def close(self) -> None:
         """Close the file; no array can be read afterwards."""
         self._archive.close()
+        self._file.close()
+
+    def __del__(self) -> None:
+        self.close()
 
     def __enter__(self) -> StoredFile:
         return self
@@ -109,7 +125,8 @@ def write(
       arrays: numbers, booleans or text of any shape, by name; a name may have parts, as in "a/b".
 
     Raises:
-      ValueError: if a name or a dtype cannot be stored, or the header has NaN or infinite numbers.
+      ValueError: if a name or a dtype cannot be stored, or the header has NaN or infinite numbers,
+        or is larger or more deeply nested than what is read.
       TypeError: if the header holds data that JSON cannot hold.
       OSError: if the folder cannot be written; a file that existed there is still there.
     """
@@ -121,6 +138,7 @@ def write(
         raise ValueError(f"header: the keys {', '.join(RESERVED)} are taken, got {clash}; rename")
     fields = {"format": kind, "version": version, "arrays": list(arrays), **header}
     text = json.dumps(fields, allow_nan=False)
+    json_text.check(text.encode())
 
     def member(name: str) -> zipfile.ZipInfo:
         info = zipfile.ZipInfo(name)  # dated 1980: equal contents make equal files
@@ -151,31 +169,39 @@ def open_file(path: AnyPath, kind: str, version: int) -> StoredFile:
       OSError: if the file does not exist or cannot be opened.
     """
     path = Path(path)
-    archive = _open_archive(path)
-    header = _parse(path, _read_member(path, archive, HEADER))
-    if not all(key in header for key in RESERVED):
-        raise _foreign(path, f"not a Swerve file: its {HEADER} lacks one of {', '.join(RESERVED)}")
-    found_kind, found_version, names = (header.pop(key) for key in RESERVED)
-    if found_kind != kind:
-        raise StoreError(
-            path, f"expected a file of kind {kind!r}, got {found_kind!r}", "give the other file"
-        )
-    _check_version(path, kind, version, found_version)
-    if set(archive.namelist()) != {HEADER, *(f"{name}.npy" for name in names)}:
-        raise _altered(path, f"altered: expected the arrays {', '.join(names)} and no others")
-    return StoredFile(path, archive, header, tuple(names))
+    file = open_regular(path)
+    try:
+        archive = _open_archive(path, file)
+        header = _parse(path, _read_member(path, archive, HEADER))
+        if not all(key in header for key in RESERVED):
+            raise _foreign(
+                path, f"not a Swerve file: its {HEADER} lacks one of {', '.join(RESERVED)}"
+            )
+        found_kind, found_version, names = (header.pop(key) for key in RESERVED)
+        if found_kind != kind:
+            raise StoreError(
+                path, f"expected a file of kind {kind!r}, got {found_kind!r}", "give the other file"
+            )
+        _check_version(path, kind, version, found_version)
+        _check_arrays(path, archive, names)
+    except BaseException:
+        file.close()
+        raise
+    return StoredFile(path, file, archive, header, tuple(names))
 
 
 def write_json(path: AnyPath, data: Any) -> None:
     """Write a small record of JSON data at once; its folder is created if need be.
 
     Raises:
-      ValueError: if the data have NaN or infinite numbers.
+      ValueError: if the data have NaN or infinite numbers, or are larger or more deeply nested than
+        what is read.
       TypeError: if the data are of types that JSON cannot hold.
       OSError: if the folder cannot be written; a file that existed there is still there.
     """
     record = {"crc32": _checksum(data), "data": data}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    json_text.check(text.encode())
     write_text(path, text)
 
 
@@ -187,7 +213,8 @@ def read_json(path: AnyPath) -> Any:
       OSError: if the file does not exist or cannot be opened.
     """
     path = Path(path)
-    record = _parse(path, path.read_bytes())
+    with open_regular(path) as file:
+        record = _parse(path, file.read(json_text.MAX_BYTES + 1) or b"")
     if record.keys() != {"crc32", "data"}:
         raise _foreign(path, "not a Swerve record, or altered: expected the keys crc32 and data")
     if record["crc32"] != _checksum(record["data"]):
@@ -195,25 +222,55 @@ def read_json(path: AnyPath) -> Any:
     return record["data"]
 
 
-def _open_archive(path: Path) -> zipfile.ZipFile:
-    """Open a ZIP file after checking that the file begins like a ZIP file and has a header."""
+def _open_archive(path: Path, file: BinaryIO) -> zipfile.ZipFile:
+    """Return the archive in a file, which begins like a ZIP file and has a header.
+
+    Nothing in the archive is compressed, so that what is read from it is no larger than the file.
+    """
     import zipfile
 
-    with path.open("rb") as file:
-        magic = file.read(4)
-    if not b"PK\x03\x04".startswith(magic):
+    if not b"PK\x03\x04".startswith(file.read(4)):
         raise _foreign(path, "not a Swerve file, or altered where it begins")
     try:
-        archive = zipfile.ZipFile(path)
+        archive = zipfile.ZipFile(file)
     except Exception as error:  # a damaged file raises any of a dozen types
         raise _altered(path, f"cut short or altered ({error})") from error
+    members = archive.infolist()
     if HEADER not in archive.namelist():
         raise _foreign(path, f"not a Swerve file, or altered: it has no {HEADER}")
+    for member in members:
+        if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
+            raise _altered(path, f"altered: {member.filename!r} is compressed")
+    if sum(member.file_size for member in members) > os.fstat(file.fileno()).st_size:
+        raise _altered(path, "altered: its parts have more bytes than the file")
     return archive
 
 
-def _check_version(path: Path, kind: str, version: int, found: int) -> None:
+def _check_arrays(path: Path, archive: zipfile.ZipFile, names: Any) -> None:
+    """Raise StoreError unless an archive has the arrays that its header names, each once."""
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise _altered(path, f"altered: expected the names of arrays, got {names!r:.100}")
+    if sorted(archive.namelist()) != sorted([HEADER, *(f"{name}.npy" for name in names)]):
+        raise _altered(path, f"altered: expected the arrays {', '.join(names)} and no others")
+
+
+def _check_size(data: io.BytesIO) -> None:
+    """Raise ValueError unless an array fills its member; else much more memory might be taken."""
+    version = np.lib.format.read_magic(data)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version} of the array format")
+    reads = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
+    shape, _, dtype = reads[version[0]](data)
+    size = data.getbuffer().nbytes - data.tell()
+    if not dtype.hasobject and math.prod(shape) * dtype.itemsize != size:
+        raise ValueError(f"shape {shape} and type {dtype} are not those of {size} bytes")
+    data.seek(0)
+
+
+def _check_version(path: Path, kind: str, version: int, found: Any) -> None:
     """Raise StoreError where the version found in a file is not the version that can be read."""
+    if type(found) is not int:
+        raise _altered(path, f"altered: its version is {found!r:.100}")
     if found > version:
         raise StoreError(
             path,
@@ -251,7 +308,7 @@ def _read_member(path: Path, archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _parse(path: Path, text: bytes) -> dict[str, Any]:
     try:
-        data = json.loads(text)
+        data = json_text.parse(text)
     except ValueError as error:
         raise _altered(path, f"cut short or altered, not JSON ({error})") from error
     if not isinstance(data, dict):

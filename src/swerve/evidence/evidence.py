@@ -23,8 +23,8 @@ from swerve.base.space import Task
 from swerve.evidence import matching
 from swerve.evidence.motion import Motion
 from swerve.evidence.quantities import Quantities
-from swerve.evidence.samples import REWEIGHED, Samples, Summary, summarise
-from swerve.problem.record import ProblemRecord
+from swerve.evidence.samples import REWEIGHED, Samples, Summary, joined_samples, summarise
+from swerve.evidence.schema import StoredEvidence
 
 KIND = "swerve-evidence"
 VERSION = 6  # of the file format
@@ -49,6 +49,8 @@ class Evidence(Quantities):
       sampling_beta: beta for which the trajectories were sampled; the problem's unless given.
       motion: how states of the problem move, which demonstrations are held against; None where the
         moves take no definite time, and in evidence of earlier versions.
+      missed_share: [K] share of pi_0 in which no trajectory is expected to be sampled, by
+        trajectories that explore (see `sampling.missed`); NaN where none did.
     """
 
     @property
@@ -94,6 +96,7 @@ class Evidence(Quantities):
             tasks=Task(*(values[indices] for values in self.tasks)),
             summary=Summary(*(values[indices] for values in self.summary)),
             load_samples=lambda: Samples(*(values[indices] for values in self.samples)),
+            missed_share=self.missed_share[indices],
         )
 
     def weighted(self, method: str) -> Evidence:
@@ -167,7 +170,8 @@ class Evidence(Quantities):
             self,
             tasks=_concatenated([evidence.tasks for evidence in everything]),
             summary=_concatenated([evidence.summary for evidence in everything]),
-            load_samples=lambda: _concatenated([evidence.samples for evidence in everything]),
+            load_samples=lambda: joined_samples([evidence.samples for evidence in everything]),
+            missed_share=np.concatenate([evidence.missed_share for evidence in everything]),
             motion=next((e.motion for e in everything if e.motion is not None), None),
         )
 
@@ -190,6 +194,8 @@ class Evidence(Quantities):
             for part, values in parts.items()
             for name, array in values._asdict().items()
         }
+        if np.isfinite(self.missed_share).any():
+            arrays["missed/share"] = self.missed_share
         store.write(path, KIND, VERSION, header, arrays)
 
     @classmethod
@@ -197,25 +203,26 @@ class Evidence(Quantities):
         """Read evidence; the trajectories are read and checked on first use.
 
         Raises:
-          store.StoreError: if the file is cut short, altered, or of another kind or version.
+          store.StoreError: if the file is cut short, altered, of another kind or version, or holds
+            what no evidence holds.
         """
         stored = store.open_file(path, KIND, VERSION)
-
-        def read(kind: type, part: str) -> Any:
-            return kind(*(stored.array(f"{part}/{name}") for name in kind._fields))
-
-        return cls(
-            problem=ProblemRecord.from_json(stored.header["problem"]),
-            tasks=read(Task, "tasks"),
+        checked = StoredEvidence(stored)
+        found = cls(
+            problem=checked.problem,
+            tasks=Task(*checked.read("tasks")),
             method=stored.header["method"],
             num_trajectories=stored.header["num_trajectories"],
             solver=stored.header["solver"],
             seed=stored.header["seed"],
-            summary=read(Summary, "summary"),
-            load_samples=lambda: read(Samples, "samples"),
+            summary=Summary(*checked.read("summary")),
+            load_samples=lambda: Samples(*checked.read("samples")),
             sampling_beta=stored.header["sampling_beta"],
-            motion=read(Motion, "motion") if "motion/forms" in stored.names else None,
+            motion=Motion(*checked.read("motion")) if "motion" in checked.parts else None,
         )
+        if "missed" in checked.parts:
+            return dataclasses.replace(found, missed_share=checked.read("missed")[0])
+        return found
 
 
 def _concatenated(parts: Sequence[Fields]) -> Fields:

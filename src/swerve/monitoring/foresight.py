@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from swerve.base import store
+from swerve.base import schema, store
 from swerve.base.space import TWO_PI, StateSpace
+from swerve.monitoring.schema import ForesightData, read_goals, read_layers
 from swerve.problem.record import ProblemRecord
 
 if TYPE_CHECKING:
@@ -79,6 +80,19 @@ class Inputs:
     goal_centre: np.ndarray
     goal_scale: np.ndarray
     num_steps: int
+
+    @property
+    def size(self) -> int:
+        """F, the number of inputs."""
+        rates = len(RUSH) * len(self.space.names) if self.goal_is_state else 0
+        return len(self.waves()[2]) + NUM_TIMES + len(self.goal_centre) + rates
+
+    def check(self, record: ProblemRecord) -> None:
+        """Raise ValueError where the inputs are not those of a problem."""
+        if self.num_steps != record.num_steps:
+            raise ValueError(f"{self.num_steps} steps, and the problem has {record.num_steps}")
+        if self.goal_is_state and len(record.goal_names) != len(record.space.names):
+            raise ValueError("goals are no states in this problem")
 
     def waves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (S, G, p) of the inputs sin(S s + G goal + p).
@@ -228,33 +242,29 @@ class Foresight:
         """Read a foresight that `save` wrote, and check that it belongs to a problem.
 
         Raises:
-          store.StoreError: if the file is cut short, altered, or of another kind, version or
-            problem.
+          store.StoreError: if the file is cut short, altered, of another kind, version or problem,
+            or holds what no foresight holds.
         """
         record = problem if isinstance(problem, ProblemRecord) else problem.record
         with store.open_file(path, KIND, VERSION) as stored:
-            header, layers = stored.header, range(stored.header["num_layers"])
-            if header["problem"] != record.fingerprint:
+            header = schema.checked(path, stored.header, ForesightData)
+            if header.problem != record.fingerprint:
                 raise store.StoreError(
                     path,
                     f"holds the foresight of another problem, not of {record.summary}",
                     "learn it again for this problem, into another file",
                 )
-            inputs = Inputs(
-                StateSpace.from_json(header["space"]),
-                header["goal_is_state"],
-                stored.array("goal_centre"),
-                stored.array("goal_scale"),
-                header["num_steps"],
-            )
-            return cls(
-                header["problem"],
-                header["evidence"],
-                inputs,
-                stored.array("goals"),
-                tuple(stored.array(f"weight/{k}") for k in layers),
-                tuple(stored.array(f"bias/{k}") for k in layers),
-            )
+            lengths = {"n": len(record.space.names), "g": len(record.goal_names)}
+            goals, centre, scale = read_goals(stored, lengths)
+            with schema.contents(path):
+                space = StateSpace.from_json(header.space)
+                if space.to_json() != record.space.to_json():
+                    raise ValueError("the states are not those of the problem")
+                inputs = Inputs(space, header.goal_is_state, centre, scale, header.num_steps)
+                inputs.check(record)
+            sizes = inputs.size, len(record.hypotheses)
+            layers = read_layers(stored, *sizes, header.num_layers)
+            return cls(header.problem, header.evidence, inputs, goals, *layers)
 
 
 def hidden_sizes(num_hypotheses: int) -> tuple[int, ...]:

@@ -21,6 +21,7 @@ from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from swerve.base.files import open_regular
 from swerve.base.specification import Specification, build
 
 SHIPPED = {
@@ -29,6 +30,7 @@ SHIPPED = {
     "pendulum": "swerve.systems.pendulum:pendulum",
     "gridworld": "swerve.systems.gridworld:gridworld",
 }
+MOST_BYTES = 2**26  # of a source file
 MISSING = "missing"  # in place of the hash of a file that cannot be read
 _SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hash of each module's file
 
@@ -124,11 +126,18 @@ def source_hashes(problem: Any) -> dict[str, str]:
 
 
 def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, or "missing"."""
+    """Return the SHA-256 of a source file; "missing" if it cannot be read, or is no source file.
+
+    A work folder of others may name any file, such as a pipe or a device.
+    """
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
+        with open_regular(path) as file:
+            content = file.read(MOST_BYTES + 1)
+    except (OSError, ValueError):  # ValueError: a name that no file can have
         return MISSING
+    if content is None or len(content) > MOST_BYTES:  # None: a log of the system, without news
+        return MISSING
+    return hashlib.sha256(content).hexdigest()
 
 
 def _user_modules() -> dict[str, Path]:

@@ -9,7 +9,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from swerve.base import files, store
+from swerve.base import files, schema, store
+
+
+class ClockData(schema.Data):
+    """The fields of the file of a `Clock`."""
+
+    seconds: dict[str, schema.Finite]
+    finished: dict[str, str]
 
 
 class Clock:
@@ -24,9 +31,9 @@ class Clock:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        stored = store.read_json(path) if path.exists() else {"seconds": {}, "finished": {}}
-        self.seconds: dict[str, float] = stored["seconds"]
-        self._finished: dict[str, str] = stored["finished"]
+        data = store.read_json(path) if path.exists() else {"seconds": {}, "finished": {}}
+        stored = schema.checked(path, data, ClockData)
+        self.seconds, self._finished = stored.seconds, stored.finished
 
     @contextmanager
     def timing(self, name: str, of: str = "") -> Iterator[None]:

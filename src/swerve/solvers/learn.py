@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from swerve.base import store
+from swerve.base import schema, store
 from swerve.base.arguments import instance, whole_number
 from swerve.base.solver_kinds import KINDS, suggested_solver
 from swerve.base.space import Task
@@ -24,6 +24,14 @@ from swerve.systems.tabular import TabularMDP
 
 KIND = "swerve-nominal"
 VERSION = 2
+
+
+class NominalData(schema.Data):
+    """The header of a stored nominal distribution; the settings are those of its solver."""
+
+    problem: str
+    solver: str
+    settings: dict[str, Any]
 
 
 def learn(
@@ -108,22 +116,25 @@ def load_nominal(path: str | Path, problem: Problem) -> Nominal:
     """Read a nominal distribution of this problem.
 
     Raises:
-      store.StoreError: if the file is cut short, altered, or of another kind, version or problem.
+      store.StoreError: if the file is cut short, altered, of another kind, version or problem, or
+        holds what no nominal distribution holds.
     """
     stored = store.open_file(path, KIND, VERSION)
-    if stored.header["problem"] != problem.record.fingerprint:
+    header = schema.checked(path, stored.header, NominalData)
+    if header.problem != problem.record.fingerprint:
         raise store.StoreError(
             path,
             f"holds the nominal distribution of another problem, not of {problem.record.summary}",
             "learn this problem into another file",
         )
-    name = stored.header["solver"]
+    name = header.solver
     if name not in KINDS:
         raise store.StoreError(
             path, f"was learned by solver {name!r}, which this version lacks", "learn it again"
         )
-    solver = _solver_class(name)(**stored.header["settings"])
-    return solver.restore(problem, {name: stored.array(name) for name in stored.names})
+    solver = schema.checked(path, header.settings, _solver_class(name))
+    with schema.contents(path):
+        return solver.restore(problem, {name: stored.array(name) for name in stored.names})
 
 
 def _solver_class(name: str) -> type[Solver[Any]]:

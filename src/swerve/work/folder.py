@@ -25,14 +25,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote, unquote
 
-from swerve.base import files, store
+import msgspec
+
+from swerve.base import files, schema, store
 from swerve.base.space import Task
 from swerve.base.version import VERSION
 from swerve.evidence.evidence import Evidence
 from swerve.problem.loading import MISSING, canonical_problem, file_hash
 from swerve.problem.record import ProblemRecord
+from swerve.problem.schema import stored_record
 from swerve.work.moved_sources import AS_MOVED
 from swerve.work.outdated import RECORD, is_unfinished, recover, set_aside
 from swerve.work.settings import Settings
@@ -40,6 +44,26 @@ from swerve.work.settings import Settings
 RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training.png")
 SAMPLED = ("evidence", "foresight")  # results that depend on the method and on N too
 FORMAT = 3  # of problem.json; increase it when its fields change
+
+
+class SettingsData(msgspec.Struct):
+    """The fields of `Settings` as they are stored; those of other versions are left out."""
+
+    solver: str | None = None
+    seed: schema.Seed | None = None
+    method: str | None = None
+    num_trajectories: schema.Count | None = None
+
+
+class FolderData(schema.Data):
+    """The fields of problem.json; the settings and the record are checked apart."""
+
+    format: int
+    problem: str
+    record: dict[str, Any]
+    settings: dict[str, Any]
+    sources: dict[str, str]
+    swerve: str
 
 
 class State(Enum):
@@ -148,7 +172,7 @@ class WorkFolder:
 
         Raises:
           ValueError: if the folder holds the results of another problem.
-          store.StoreError: if the record is cut short or altered.
+          store.StoreError: if the record is cut short or altered, or holds what no record holds.
           OSError: if a move of outdated results was cut short, and the folder cannot be written.
         """
         if is_unfinished(self.path):
@@ -157,26 +181,29 @@ class WorkFolder:
         path = self.path / RECORD
         if not path.exists():
             return Reading(State.ABSENT)
-        stored = store.read_json(path)
+        data = store.read_json(path)
         asked = canonical_problem(self.problem_text)
-        if stored.get("format") != FORMAT:
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
             return Reading(State.OTHER_FORMAT)
-        if stored["problem"] != asked:
+        stored = schema.checked(path, data, FolderData)
+        if stored.problem != asked:
             raise ValueError(
-                f"{self.path} holds the results of {stored['problem']!r}, not of {asked!r}: "
+                f"{self.path} holds the results of {stored.problem!r}, not of {asked!r}: "
                 "name another --work folder"
             )
-        settings = Settings.from_json(stored["settings"])
+        schema.checked(path, stored.settings, SettingsData)
+        with schema.contents(path):
+            settings = Settings.from_json(stored.settings)
         changes = [
             f"{source} has changed"
-            for source, old in stored["sources"].items()
+            for source, old in stored.sources.items()
             if _has_changed(source, old)
         ]
-        if stored["swerve"] != VERSION:
-            changes.append(f"swerve was {stored['swerve']} and is {VERSION}")
+        if stored.swerve != VERSION:
+            changes.append(f"swerve was {stored.swerve} and is {VERSION}")
         if changes:
             return Reading(State.CHANGED, settings=settings, changes=tuple(changes))
-        return Reading(State.CURRENT, ProblemRecord.from_json(stored["record"]), settings)
+        return Reading(State.CURRENT, stored_record(path, stored.record), settings)
 
     def write(
         self,

@@ -47,15 +47,15 @@ class Checkpoint:
         """
         if self.path is None or not self.path.exists():
             return None
-        stored = store.open_file(self.path, self._kind, VERSION)
-        for key, value in self._header.items():
-            if stored.header[key] != value:
-                raise ValueError(
-                    f"{self.path} is a checkpoint of another run: its {key} is "
-                    f"{stored.header[key]}, this run's is {value}. Give that run's {key}, or "
-                    "remove the file to start anew"
-                )
-        return {name: stored.array(name) for name in stored.names}
+        with store.open_file(self.path, self._kind, VERSION) as stored:
+            for key, value in self._header.items():
+                found = stored.header.get(key)
+                if found != value:
+                    raise ValueError(
+                        f"{self.path} is a checkpoint of another run: its {key} is {found}, this "
+                        f"run's is {value}. Give that run's {key}, or remove the file to start anew"
+                    )
+            return {name: stored.array(name) for name in stored.names}
 
     @property
     def _kind(self) -> str:

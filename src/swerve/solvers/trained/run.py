@@ -24,8 +24,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from swerve.base import schema
 from swerve.base.space import Task
 from swerve.problem.problem import Problem
+from swerve.problem.tasks import checked_tasks
 from swerve.simulation.trajectory import Policy
 from swerve.solvers.trained.checkpoints import Checkpoint
 from swerve.solvers.trained.lanes import check_lanes
@@ -61,6 +63,7 @@ class Run:
 
     Raises:
       ValueError: if the checkpoint is of another run, or no episode can begin.
+      StoreError: if the checkpoint is altered, or holds what no checkpoint holds.
     """
 
     def __init__(
@@ -81,16 +84,30 @@ class Run:
         self._best = self._state  # the state of the least KL
         arrays = self._checkpoint.load()
         if arrays is not None:
-            tasks = Task(arrays.pop("start"), arrays.pop("goal"))
-            self.history = [Progress(*row) for row in arrays.pop("history").tolist()]
-            self._state, self._best = (
-                from_arrays(
-                    self._state,
-                    {k.removeprefix(at): x for k, x in arrays.items() if k.startswith(at)},
-                )
-                for at in ("state/", "best/")
-            )
+            assert checkpoint is not None
+            with schema.contents(checkpoint):
+                tasks = self._restore(arrays)
         self._probe = Probe(problem, tasks)
+
+    def _restore(self, arrays: dict[str, np.ndarray]) -> Task:
+        """Take up the states and the history of a checkpoint; return its tasks.
+
+        Raises:
+          ValueError: if the arrays are not those of a checkpoint; also other errors where an array
+            is missing.
+        """
+        tasks = checked_tasks(self._problem, Task(arrays.pop("start"), arrays.pop("goal")))
+        self.history = [Progress(*row) for row in arrays.pop("history").tolist()]
+        self._state, self._best = (
+            from_arrays(
+                self._state,
+                {k.removeprefix(at): x for k, x in arrays.items() if k.startswith(at)},
+            )
+            for at in ("state/", "best/")
+        )
+        if not 0 <= self.num_done <= self._solver.num_chunks:
+            raise ValueError(f"{self.num_done} of {self._solver.num_chunks} chunks are done")
+        return tasks
 
     @property
     def policy(self) -> Policy:
