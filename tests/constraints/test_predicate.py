@@ -64,7 +64,7 @@ class TestPredicate:
         ("function", "got"),
         [
             (lambda states: states > 0, r"bool of shape \(5, 2\)"),
-            (lambda states: states[..., 0], r"float64 of shape \(5,\)"),
+            (lambda states: states[..., 0], r"float32 of shape \(5,\)"),
             (lambda states: True, "bool of shape None"),
         ],
     )

@@ -166,7 +166,7 @@ class TestDistanceAndMargin:
     def test_distance_is_that_of_the_nearest_of_many_points(self, constraint: Constraint) -> None:
         generator = np.random.default_rng(11)
         states = generator.uniform([0.0, -2.0, -2.0], [TWO_PI, 3.0, 3.0], (40, 3))
-        axes = [np.linspace(0.0, TWO_PI, 90), *[np.linspace(-4.5, 4.5, 91)] * 2]
+        axes = [np.linspace(0.0, TWO_PI, 60), *[np.linspace(-4.5, 4.5, 181)] * 2]
         dense = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         inside = dense[constraint.contains(dense, SPACE)]
         named = [SPACE.column(name) for name in constraint.spans]

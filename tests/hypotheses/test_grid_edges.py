@@ -53,7 +53,6 @@ def test_a_segment_that_ends_on_a_line_enters_all_cells_up_to_it(seed, backwards
     cells = grid(omega=(-6.0, 6.0, 10))
     starts, index = generator.uniform(-6.0, 6.0, 500), generator.integers(0, 10, 500)
     ends = -6.0 + 1.2 * index
-    index = np.floor((ends + 6.0) / 1.2).astype(int)
     omega = np.stack([ends, starts] if backwards else [starts, ends], axis=1)
     hits = entered(cells, np.stack([0 * omega, omega], axis=-1), PENDULUM)
     first = np.floor((starts + 6.0) / 1.2).astype(int)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -51,3 +53,22 @@ def refined(states: np.ndarray, generator: np.random.Generator, space: StateSpac
     parts = [states[:, :-1], *(states[:, :-1] + fraction * steps for fraction in fractions)]
     finer = np.stack(parts, axis=2).reshape(len(states), -1, states.shape[-1])
     return np.concatenate([finer, states[:, -1:]], axis=1)
+
+
+def corners_cut(segments: np.ndarray, widths: Sequence[float]) -> np.ndarray:
+    """Return [S] how often a segment [S, 2, 2] in PLANE comes less than twice its resolution deep.
+
+    Into a cell, that is, of a grid with these widths and a line through -4; such a cell need not
+    be entered.
+    """
+    counts = []
+    for start, end in segments:
+        shares = [
+            (-4.0 + width * np.arange(np.ceil(8 / width) + 1) - a) / (b - a)
+            for a, b, width in zip(start, end, widths, strict=True)
+        ]
+        share = np.sort(np.concatenate(shares))
+        share = share[(share > 0.0) & (share < 1.0)]
+        deep = np.diff(share)[:, None] * np.abs(end - start) / PLANE.resolution
+        counts.append((deep.min(axis=1, initial=np.inf) < 4.0).sum())
+    return np.array(counts)

@@ -24,6 +24,7 @@ TWO_PI = 2.0 * math.pi
 LATTICE_EXTENT = 250.0  # lattice steps: largest unit of distance, see `StateSpace.unit`
 MAX_HALF_EXTENTS = 10  # half widths, from the middle of the bounds: states beyond have a wrong unit
 MAX_TURNS = 10  # full turns: an angle beyond is in degrees
+RESOLUTION = 2.0**-20  # share of a state's extent, about a millionth: closer numbers count as equal
 
 
 class Task(NamedTuple):
@@ -121,6 +122,20 @@ def nearest(values: Any, table: Any) -> Any:
     return ((values[..., None, :] - xp.asarray(table)) ** 2).sum(axis=-1).argmin(axis=-1)
 
 
+def single(values: Any) -> Any:
+    """Return numbers [...] rounded to float32, the precision at which all are judged."""
+    xp = values.__array_namespace__()
+    if values.dtype == xp.float32:
+        return values
+    largest = float(np.finfo(np.float32).max)  # numbers beyond are beyond every finite edge, too
+    return xp.clip(values, -largest, largest).astype(xp.float32)
+
+
+def wide(values: Any) -> Any:
+    """Return float32 numbers [...] for arithmetic: float64 with NumPy, unchanged with JAX."""
+    return values.astype(np.float64) if isinstance(values, np.ndarray | np.generic) else values
+
+
 def is_full_turn(low: float, high: float) -> bool:
     """Return whether an interval of an angle is a full turn, which has no ends."""
     return high - low > TWO_PI * (1 - 1e-9)
@@ -179,6 +194,17 @@ class StateSpace:
         than the distance between neighbours.
         """
         return np.minimum(self.extent, LATTICE_EXTENT) if self.is_lattice else self.extent
+
+    @cached_property
+    def resolution(self) -> np.ndarray:
+        """[n] the distance below which two numbers of a state count as equal, in its unit.
+
+        Far above the rounding of float32, which a simulation adds up step by step, and far below
+        what anybody measures: a millionth of the extent, of a full turn for angles.
+        """
+        extent = np.where(self.is_angle, TWO_PI, self.extent)
+        largest = np.where(self.is_angle, 0.0, np.abs(self.bounds).max(axis=1))
+        return np.maximum(RESOLUTION * extent, 2.0 * np.spacing(largest.astype(np.float32)))
 
     @cached_property
     def believable(self) -> np.ndarray:

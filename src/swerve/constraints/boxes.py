@@ -5,17 +5,28 @@ Shapes: n state dimensions, m action dimensions, ... any batch dimensions.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import keyword
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from swerve.base.arguments import numbers
-from swerve.base.space import TWO_PI, Actions, StateSpace, is_full_turn
+from swerve.base.space import (
+    RESOLUTION,
+    TWO_PI,
+    Actions,
+    StateSpace,
+    is_full_turn,
+    single,
+    wide,
+)
 from swerve.constraints.base import Constraint, nowhere
+from swerve.constraints.edges import Interval, coordinate
 
 
 class Box(Constraint):
@@ -60,36 +71,38 @@ class Box(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] lies in the box."""
-        inside = True
-        for name, (low, high) in self.intervals.items():
-            value = states[..., space.column(name)]
-            if name in space.angles:
-                # modulo twice, since a tiny negative number modulo 2 pi is rounded to 2 pi itself
-                inside = inside & ((value - low) % TWO_PI % TWO_PI < high - low)
-            else:
-                inside = inside & (low <= value) & (value < high)
-        return inside
+        inside = (
+            interval.holds(coordinate(states, space, name))
+            for name, interval in self._judged(space)
+        )
+        return functools.reduce(operator.and_, inside)
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where the segment meets the box.
+        """Return [...] True where the segment enters the box, see `edges`.
 
         This is the slab test. For each component, the segment lies between two sides of the box
-        over a part of its length. The segment meets the box where the parts of all components
+        over a part of its length. The segment enters the box where the parts of all components
         overlap. For angles, the copies of the box one turn away are tried too.
         """
         xp = starts.__array_namespace__()
-        steps = space.difference(starts, ends)
         hit = self.contains(starts, space) | self.contains(ends, space)
+        steps = space.difference(*(wide(single(states)) for states in (starts, ends)))
         slabs = [
-            _slabs(starts[..., column], steps[..., column], low, high, name in space.angles)
-            for name, (low, high) in self.intervals.items()
-            for column in [space.column(name)]
+            interval.parts(coordinate(starts, space, name), steps[..., space.column(name)])
+            for name, interval in self._judged(space)
         ]
         for combination in itertools.product(*slabs):
             enter = xp.stack([enter for enter, _ in combination]).max(axis=0)
             leave = xp.stack([leave for _, leave in combination]).min(axis=0)
             hit = hit | (xp.minimum(leave, 1.0) > xp.maximum(enter, 0.0))
         return hit
+
+    def _judged(self, space: StateSpace) -> list[tuple[str, Interval]]:
+        """Return the intervals of the box as they are judged."""
+        return [
+            (name, Interval(low, high, space.resolution[space.column(name)], name in space.angles))
+            for name, (low, high) in self.intervals.items()
+        ]
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the named states."""
@@ -179,8 +192,10 @@ class ActionBox(Constraint):
         """Return [...] True where an action lies in the box."""
         inside = True
         for name, (low, high) in self.intervals.items():
-            value = actions.values[..., actions.names.index(name)]
-            inside = inside & (low <= value) & (value < high)
+            value = single(actions.values[..., actions.names.index(name)])
+            edges = [abs(edge) for edge in (low, high) if edge and math.isfinite(edge)]
+            resolution = RESOLUTION * max(edges, default=1.0)
+            inside = inside & Interval(low, high, resolution, is_angle=False).holds(value)
         return inside
 
     def among(self, mdp: HasActions) -> np.ndarray:
@@ -269,25 +284,3 @@ def _finite_intervals(intervals: dict[str, tuple[float, float]]) -> dict[str, li
 
 def _literal(value: float) -> str:
     return repr(value) if math.isfinite(value) else f"float('{value}')"
-
-
-def _slabs(start: Any, step: Any, low: float, high: float, is_angle: bool) -> list[tuple[Any, Any]]:
-    """Return, for each image of [low, high), the part (enter, leave) of a segment in the image.
-
-    An interval of an angle has images one turn away on both sides. The segment is start + u * step
-    with 0 <= u <= 1; enter >= leave where the segment misses the image.
-    """
-    xp = start.__array_namespace__()
-    if is_angle:
-        start, low, high = (start - low) % TWO_PI, 0.0, high - low
-    images = (-TWO_PI, 0.0, TWO_PI) if is_angle else (0.0,)
-    still = step == 0
-    divisor = xp.where(still, 1.0, step)
-    parts = []
-    for shift in images:
-        to_low, to_high = (low + shift - start) / divisor, (high + shift - start) / divisor
-        inside = (low + shift <= start) & (start < high + shift)
-        enter = xp.where(still, xp.where(inside, -math.inf, math.inf), xp.minimum(to_low, to_high))
-        leave = xp.where(still, xp.where(inside, math.inf, -math.inf), xp.maximum(to_low, to_high))
-        parts.append((enter, leave))
-    return parts

@@ -3,8 +3,8 @@
     cell(x, y) = (floor((y - y_0) / w), floor((x - x_0) / w)),   forbidden where blocked[cell],
 
 with (x_0, y_0) the lower left corner of the map and w the side of its cells. Every place beyond the
-map is forbidden. A segment is tried at points at most half a cell apart, so that only a segment
-across the tip of a corner can be missed.
+map is forbidden. A segment is followed from cell to cell. The segment enters a blocked cell as it
+would enter a box of the same edges; the rule of edges is that of `constraints.edges`.
 
 Shapes: R rows of the map, upwards, C columns, n state dimensions, ... any batch dimensions.
 """
@@ -14,17 +14,18 @@ from __future__ import annotations
 import base64
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from swerve.base.arguments import numbers, positive_number, two_names
-from swerve.base.space import StateSpace
+from swerve.base.space import StateSpace, single, wide
 from swerve.constraints.base import Constraint
+from swerve.constraints.edges import part, threshold
 
-SPACING = 0.5  # cells, between two tried points of a segment: only the tip of a corner is missed
+MOST_BYTES = 2**25  # of a stored map, a bit a cell: 16,384 x 16,384 cells
 
 
 class Occupancy(Constraint):
@@ -58,6 +59,11 @@ class Occupancy(Constraint):
             raise ValueError(
                 f"Occupancy {name!r}: expected a map [rows, columns] of booleans, got "
                 f"{self.blocked.dtype} of shape {self.blocked.shape}"
+            )
+        if self.blocked.size > 8 * MOST_BYTES:
+            raise ValueError(
+                f"Occupancy {name!r}: expected at most {8 * MOST_BYTES:,} cells, got "
+                f"{self.blocked.size:,}: make the cells larger"
             )
         place = numbers(corner, 2)
         if place is None or not all(map(math.isfinite, place)):
@@ -102,35 +108,60 @@ class Occupancy(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] lies in a blocked cell or beyond the map."""
-        xp = states.__array_namespace__()
-        x, y = (
-            xp.floor((states[..., space.column(name)] - low) / self.cell)
-            for name, low in zip(self.names, self.corner, strict=True)
-        )
-        rows, columns = self.blocked.shape
-        beyond = ~((x >= 0) & (x < columns) & (y >= 0) & (y < rows))  # True for NaN as well
-        column = xp.where(beyond, 0, x).astype(xp.int32)
-        row = xp.where(beyond, 0, y).astype(xp.int32)
-        return beyond | xp.asarray(self.blocked)[row, column]
+        return self._is_blocked([axis.index(axis.values(states)) for axis in self._axes(space)])
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
-        """Return [...] True where a tried point of the segment lies in the set, see SPACING."""
+        """Return [...] True where the segment enters a blocked cell, or leaves the map.
+
+        The segment is followed from its start over each line that it crosses.
+        """
         xp = starts.__array_namespace__()
-        steps = space.difference(starts, ends)
-        longest = xp.abs(steps[..., [space.column(name) for name in self.names]]).max(initial=0.0)
-        count = xp.ceil(xp.nan_to_num(longest) / (SPACING * self.cell)).astype(int)
+        axes = self._axes(space)
+        values = [axis.values(starts) for axis in axes]
+        steps = [axis.values(ends) - value for axis, value in zip(axes, values, strict=True)]
+        index = [axis.index(value) for axis, value in zip(axes, values, strict=True)]
+        last = [
+            xp.where(axis.is_still(step), first, axis.index(axis.values(ends)))
+            for axis, first, step in zip(axes, index, steps, strict=True)
+        ]
         hit = self.contains(starts, space) | self.contains(ends, space)
 
-        def tried(k: Any, hit: Any) -> Any:
-            return hit | self.contains(starts + steps * (k / count), space)
+        def follow(_: Any, carry: Any) -> Any:
+            """Cross the next line of every segment, and judge the cell behind the line."""
+            hit, index = carry
+            next_line = [
+                axis.share_to_line(*along)
+                for axis, *along in zip(axes, values, steps, index, last, strict=True)
+            ]
+            first = next_line[0] <= next_line[1]
+            moves = [first, ~first]
+            index = [
+                k + xp.where(move, xp.sign(end - k), 0)
+                for k, move, end in zip(index, moves, last, strict=True)
+            ]
+            parts = [
+                axis.part(*along) for axis, *along in zip(axes, values, steps, index, strict=True)
+            ]
+            enter = xp.maximum(xp.maximum(parts[0][0], parts[1][0]), 0.0)
+            leave = xp.minimum(xp.minimum(parts[0][1], parts[1][1]), 1.0)
+            return hit | (self._is_blocked(index) & (leave > enter)), index
 
-        if isinstance(starts, np.ndarray):
-            for k in range(1, int(count)):
-                hit = tried(k, hit)
-            return hit
-        import jax  # loaded already: the caller passed JAX arrays
+        lines = xp.abs(last[0] - index[0]) + xp.abs(last[1] - index[1])
+        return _repeat(follow, (hit, index), lines.max(initial=0))
 
-        return jax.lax.fori_loop(1, count, tried, hit)
+    def _axes(self, space: StateSpace) -> list[MapAxis]:
+        """Return the axes of x and y."""
+        rows, columns = self.blocked.shape
+        return [
+            MapAxis(space, name, low, self.cell, count)
+            for name, low, count in zip(self.names, self.corner, (columns, rows), strict=True)
+        ]
+
+    def _is_blocked(self, index: Sequence[Any]) -> Any:
+        """Return [...] True where the cell of column and row [...] is blocked or off the map."""
+        column, row = index
+        framed = np.pad(self.blocked, 1, constant_values=True)
+        return column.__array_namespace__().asarray(framed)[row + 1, column + 1]
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data; the map is packed to bits and compressed."""
@@ -151,10 +182,74 @@ class Occupancy(Constraint):
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Occupancy:
         """Rebuild a map from `to_json` data."""
-        bits = np.frombuffer(zlib.decompress(base64.b64decode(data["blocked"])), np.uint8)
         rows, columns = data["shape"]
-        blocked = np.unpackbits(bits, count=rows * columns).astype(bool).reshape(rows, columns)
+        name, size = data["name"], -(-rows * columns // 8)  # bytes
+        if size > MOST_BYTES:
+            raise ValueError(f"Occupancy {name!r}: a map of {rows} x {columns} cells is too large")
+        packed = zlib.decompressobj().decompress(base64.b64decode(data["blocked"]), size + 1)
+        if len(packed) != size:
+            raise ValueError(f"Occupancy {name!r}: not a map of {rows} x {columns} cells")
+        bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=rows * columns)
+        blocked = bits.astype(bool).reshape(rows, columns)
         return cls(data["name"], blocked, data["corner"], data["cell"], data["names"])
+
+
+class MapAxis:
+    """One axis of a map: lines between cells, and the index of cells, -1 and C beyond the map."""
+
+    def __init__(self, space: StateSpace, name: str, low: float, cell: float, count: int) -> None:
+        self.column, self.count, self.cell = space.column(name), count, cell
+        self.resolution = float(space.resolution[self.column])
+        self.low = low - self.resolution
+        lines = threshold(low + cell * np.arange(count + 1), self.resolution)
+        self.lines = np.concatenate([[-np.inf], lines, [np.inf]]).astype(np.float32)
+
+    def values(self, states: Any) -> Any:
+        """Return one component [...] of states [..., n] as it is compared with lines."""
+        return wide(single(states[..., self.column]))
+
+    def index(self, values: Any) -> Any:
+        """Return the index [...] of the cell of each number; comparisons with lines decide."""
+        xp = values.__array_namespace__()
+        guess = xp.clip(xp.floor((values - self.low) / self.cell), -1, self.count)
+        guess = xp.nan_to_num(guess, nan=-1.0).astype(xp.int32)  # NaN is beyond the map
+        lines = xp.asarray(self.lines)
+        return guess - (values < lines[guess + 1]) + (values >= lines[guess + 2])
+
+    def is_still(self, steps: Any) -> Any:
+        """Return [...] True where a segment stays where it begins, along this axis."""
+        return abs(steps) <= self.resolution
+
+    def share_to_line(self, values: Any, steps: Any, index: Any, last: Any) -> Any:
+        """Return the share [...] of segments up to the next line; inf where no line is left.
+
+        Args:
+          values: [...] where the segments begin.
+          steps: [...] from the starts to the ends.
+          index: [...] the cell reached.
+          last: [...] the cell of the end.
+        """
+        xp = steps.__array_namespace__()
+        line = wide(xp.asarray(self.lines)[index + 1 + (last > index)])
+        divisor = xp.where(last == index, 1.0, steps)
+        return xp.where(last == index, math.inf, (line - values) / divisor)
+
+    def part(self, values: Any, steps: Any, index: Any) -> tuple[Any, Any]:
+        """Return the part (enter, leave) of segments that lies deep in cells, see `edges.part`."""
+        xp = steps.__array_namespace__()
+        low, high = (wide(xp.asarray(self.lines)[index + k]) for k in (1, 2))
+        return part(values, steps, low, high, self.resolution)
+
+
+def _repeat(step: Callable[[Any, Any], Any], carry: Any, times: Any) -> Any:
+    """Apply a step to (hit, index) as many times as given; return hit."""
+    if isinstance(times, np.generic):
+        for k in range(int(times)):
+            carry = step(k, carry)
+        return carry[0]
+    import jax  # loaded already: the caller passed JAX arrays
+
+    return jax.lax.fori_loop(0, times, step, carry)[0]
 
 
 def _as_array(blocked: Any) -> np.ndarray:

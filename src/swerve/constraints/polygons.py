@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from swerve.base.arguments import number_or_nan, two_names
-from swerve.base.space import StateSpace
+from swerve.base.space import StateSpace, single, wide
 from swerve.constraints import polygon_geometry
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import short
@@ -26,7 +27,7 @@ from swerve.constraints.shapes import check_no_angles
 class Polygon(Constraint):
     """The states inside a polygon over two of the states; the polygon need not be convex.
 
-    A state exactly on the edge may count as inside or outside: rounding decides.
+    A state on the edge, but for the resolution of the states (`constraints.edges`), is outside.
 
     Args:
       vertices: [V, 2] the corners in order, either way round.
@@ -88,22 +89,23 @@ class Polygon(Constraint):
         """Return [...] True where a state [..., n] lies inside, deeper than `depth`."""
         x, y = self._points(states, space)
         near = self._is_near((x, x), (y, y))
-        return polygon_geometry.where_near(self._holds, near, (x, y), len(self.vertices))
+        holds = partial(self._holds, self._deep(space))
+        return polygon_geometry.where_near(holds, near, (x, y), len(self.vertices))
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where the segment meets the polygon.
 
         A segment can enter or leave the polygon only where the segment cuts one of the lines and
         circles on which the edge lies. Between two such cuts the segment is all inside or all
-        outside, so its middle is tried.
+        outside, so its middle is tried: a segment along an edge, or through a corner that it only
+        touches, does not enter.
         """
         xp = starts.__array_namespace__()
         (x, y), (end_x, end_y) = self._points(starts, space), self._points(ends, space)
         spans = [(xp.minimum(a, b), xp.maximum(a, b)) for a, b in ((x, end_x), (y, end_y))]
         near = self._is_near(*spans)
-        return polygon_geometry.where_near(
-            self._meets, near, (x, y, end_x, end_y), len(self.vertices)
-        )
+        meets = partial(self._meets, self._deep(space))
+        return polygon_geometry.where_near(meets, near, (x, y, end_x, end_y), len(self.vertices))
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the two named states.
@@ -117,7 +119,7 @@ class Polygon(Constraint):
 
         def outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
             square = polygon_geometry.square_to_edge(self.vertices, x, y)
-            return np.where(self._holds(x, y), 0.0, np.sqrt(square))
+            return np.where(self._holds(self.depth, x, y), 0.0, np.sqrt(square))
 
         flat = [np.reshape(value, -1) for value in (x, y)]
         return polygon_geometry.blockwise(outside, flat, len(self.vertices)).reshape(np.shape(x))
@@ -140,8 +142,13 @@ class Polygon(Constraint):
         return {"kind": "polygon", "vertices": vertices, "names": names, "depth": self.depth}
 
     def _points(self, states: Any, space: StateSpace) -> tuple[Any, Any]:
+        states = wide(single(states))
         first, second = (states[..., space.column(name)] for name in self.names)
         return first, second
+
+    def _deep(self, space: StateSpace) -> float:
+        """Return how far from every edge a state must lie: the depth and the resolution."""
+        return self.depth + float(max(space.resolution[[*map(space.column, self.names)]]))
 
     def _is_near(self, x: tuple[Any, Any], y: tuple[Any, Any]) -> Any:
         """Return [...] True where ranges (least, greatest) of x, y meet the polygon's rectangle."""
@@ -149,13 +156,13 @@ class Polygon(Constraint):
         in_x = (x[1] >= low_x) & (x[0] <= high_x)
         return in_x & (y[1] >= low_y) & (y[0] <= high_y)
 
-    def _meets(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+    def _meets(self, deep: float, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
         """Return [...] True where a segment has a point inside, both ends included."""
-        hit = self._holds(x, y) | self._holds(end_x, end_y)
-        points = (x, y, end_x, end_y)
-        return hit | polygon_geometry.where_near(self._passes, ~hit, points, len(self.vertices))
+        hit = self._holds(deep, x, y) | self._holds(deep, end_x, end_y)
+        passes, points = partial(self._passes, deep), (x, y, end_x, end_y)
+        return hit | polygon_geometry.where_near(passes, ~hit, points, len(self.vertices))
 
-    def _passes(self, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+    def _passes(self, deep: float, x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
         """Return [...] True where a segment has a part inside, which need not include an end."""
         xp = x.__array_namespace__()
         dx, dy = end_x - x, end_y - y
@@ -163,11 +170,10 @@ class Polygon(Constraint):
         bounds = xp.zeros_like(x)[None], share, xp.ones_like(x)[None]
         share = xp.concatenate(bounds)
         middle = 0.5 * (share[1:] + share[:-1])
-        is_piece = share[1:] > share[:-1]  # a touched corner is a piece without length
-        return (is_piece & self._holds(x + middle * dx, y + middle * dy)).any(axis=0)
+        is_piece = share[1:] > share[:-1]
+        return (is_piece & self._holds(deep, x + middle * dx, y + middle * dy)).any(axis=0)
 
-    def _holds(self, x: Any, y: Any) -> Any:
+    def _holds(self, deep: float, x: Any, y: Any) -> Any:
+        """Return [...] True where points lie inside, farther than a distance from every edge."""
         inside = polygon_geometry.encloses(self.vertices, x, y)
-        if self.depth:
-            inside = inside & polygon_geometry.is_farther(self.vertices, self.depth, x, y)
-        return inside
+        return inside & polygon_geometry.is_farther(self.vertices, deep, x, y)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from swerve.base.arguments import whole_number
-from swerve.base.space import StateSpace
+from swerve.base.space import StateSpace, single, wide
 from swerve.constraints.base import Constraint
 
 
@@ -19,7 +19,8 @@ class Predicate(Constraint):
     Args:
       name: name of the predicate, in tables.
       function: maps states [..., n] to booleans [...]; written with operators and
-        `states.__array_namespace__()` or `jax.numpy`, so that JAX can trace the function too.
+        `states.__array_namespace__()` or `jax.numpy`, so that JAX can trace the function too. The
+        states are float32 always, sampled or recorded.
       num_points: number of evenly spaced points that are tried on a segment between two states.
 
     Raises:
@@ -50,7 +51,7 @@ class Predicate(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] lies in the set."""
-        inside = self.function(states)
+        inside = self.function(single(states))
         shape, kind = (
             getattr(inside, "shape", None),
             str(getattr(inside, "dtype", type(inside).__name__)),
@@ -64,9 +65,10 @@ class Predicate(Constraint):
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where one of `num_points` points of the segment lies in the set."""
-        steps = space.difference(starts, ends)
-        hit = self.contains(starts, space)
-        for k in range(1, self.num_points + 1):
+        hit = self.contains(starts, space) | self.contains(ends, space)
+        starts = wide(single(starts))
+        steps = space.difference(starts, wide(single(ends)))
+        for k in range(1, self.num_points):
             hit = hit | self.contains(starts + steps * (k / self.num_points), space)
         return hit
 

@@ -3,7 +3,9 @@
     ball         |x - c| < r                 (angles by the shorter arc)
     half-space   sum_i n_i x_i >= offset
 
-Each constraint names some of the states; the states that it does not name are free.
+Each constraint names some of the states; the states that it does not name are free. A state that
+lies on the edge but for the resolution of the states counts as on it (`constraints.edges`): so it
+is outside of a ball, and inside of a half-space.
 
 Shapes: n state dimensions, ... any batch dimensions.
 """
@@ -20,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from swerve.base.arguments import number_or_nan
-from swerve.base.space import TWO_PI, StateSpace
+from swerve.base.space import TWO_PI, StateSpace, single, wide
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import call, short
 
@@ -71,8 +73,8 @@ class Ball(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] is nearer to the centre than the radius."""
-        square = functools.reduce(operator.add, [d**2 for d in self._offsets(states, space)])
-        return square < self.radius**2
+        offsets = self._offsets(wide(single(states)), space)
+        return functools.reduce(operator.add, [d**2 for d in offsets]) < self._reach(space) ** 2
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where the segment's nearest point lies in the ball or in its image.
@@ -80,6 +82,7 @@ class Ball(Constraint):
         The images of the ball are its copies one turn away along each angle.
         """
         xp = starts.__array_namespace__()
+        starts, ends = wide(single(starts)), wide(single(ends))
         steps = space.difference(starts, ends)
         along = [steps[..., space.column(name)] for name in self.centre]
         length = functools.reduce(operator.add, [step**2 for step in along])
@@ -91,8 +94,12 @@ class Ball(Constraint):
             share = -functools.reduce(operator.add, dots) / xp.where(length > 0, length, 1.0)
             share = xp.clip(share, 0.0, 1.0)
             nearest = [(d + share * step) ** 2 for d, step in zip(offsets, along, strict=True)]
-            hit = hit | (functools.reduce(operator.add, nearest) < self.radius**2)
+            hit = hit | (functools.reduce(operator.add, nearest) < self._reach(space) ** 2)
         return hit
+
+    def _reach(self, space: StateSpace) -> float:
+        """Return the radius less the resolution of the states, at least 0."""
+        return max(0.0, self.radius - max(space.resolution[[*map(space.column, self.centre)]]))
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the named states."""
@@ -189,7 +196,7 @@ class HalfSpace(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] is on the forbidden side, or on its edge."""
-        return self._sum(states, space) >= self.offset
+        return self._sum(wide(single(states)), space) >= self.offset - self._resolution(space)
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where an end of the segment is inside: the sum is largest at an end."""
@@ -212,6 +219,11 @@ class HalfSpace(Constraint):
     def _sum(self, states: Any, space: StateSpace) -> Any:
         parts = [factor * states[..., space.column(k)] for k, factor in self.normal.items()]
         return functools.reduce(operator.add, parts)
+
+    def _resolution(self, space: StateSpace) -> float:
+        """Return the sum of |n_i| times the resolution of each state."""
+        sizes = {name: space.resolution[space.column(name)] for name in self.normal}
+        return float(sum(abs(factor) * sizes[name] for name, factor in self.normal.items()))
 
 
 def _checked_axes(kind: str, expected: str, values: Mapping[str, float]) -> dict[str, float]:

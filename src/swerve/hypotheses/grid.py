@@ -4,8 +4,9 @@ The cell of a state follows by index arithmetic,
 
     cell_d = floor((x_d - low_d) / width_d),
 
-and a segment enters a cell wherever the segment crosses a grid line. Results are packed as in
-`bits`.
+and a segment enters a cell between each two grid lines that the segment crosses. Which side of a
+line a state is on, and which cells a segment only touches, is the rule of `constraints.edges`: the
+cells are judged exactly as the same boxes in a list are. Results are packed as in `bits`.
 
 Shapes: N trajectories, T steps, n state dimensions, d grid dimensions, H hypotheses.
 """
@@ -20,11 +21,11 @@ from typing import Any
 import numpy as np
 
 from swerve.base.arguments import numbers
-from swerve.base.space import Actions, StateSpace
+from swerve.base.space import Actions, StateSpace, single, wide
 from swerve.constraints.boxes import Box, interval_distance
 from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.bits import no_bits, set_pairs
-from swerve.hypotheses.grid_axis import GridAxis
+from swerve.hypotheses.grid_axis import GridAxis, grid_lines
 
 BLOCK = 1 << 16  # states judged at once, so that intermediate results fit the cache
 
@@ -92,8 +93,8 @@ class GridHypotheses(BoxHypotheses):
 
     def cells(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the cell [...] of each state [..., n], or -1 outside the grid."""
-        axes = self._lines(space)
-        return _join(axes, [axis.index(axis.position(states)) for axis in axes])
+        axes = self.lines(space)
+        return _join(axes, [axis.index(axis.values(states)) for axis in axes])
 
     def violations(
         self,
@@ -106,7 +107,7 @@ class GridHypotheses(BoxHypotheses):
         bits = no_bits(len(states), len(self))
         size = max(1, BLOCK // states.shape[1])
         for first in range(0, len(states), size):
-            block = np.asarray(states[first : first + size], np.float64)
+            block = wide(single(np.asarray(states[first : first + size])))
             self._judge(bits[first : first + size], block, space, between_states)
         return bits
 
@@ -114,8 +115,8 @@ class GridHypotheses(BoxHypotheses):
         self, bits: np.ndarray, states: np.ndarray, space: StateSpace, between_states: bool
     ) -> None:
         """Set the bits of the cells that trajectories [N, T+1, n] enter."""
-        axes = self._lines(space)
-        indices = [axis.index(axis.position(states)) for axis in axes]
+        axes = self.lines(space)
+        indices = [axis.index(axis.values(states)) for axis in axes]
         moved = np.ones(states.shape[:-1], bool)
         moved[:, 1:] = False
         for axis, index in zip(axes, indices, strict=True):
@@ -129,8 +130,9 @@ class GridHypotheses(BoxHypotheses):
             steps = space.difference(starts, ends)
             spans = []
             for axis, index in zip(axes, indices, strict=True):
+                first = index[trajectory, step]
                 last = axis.turned(index[trajectory, step + 1], starts, ends, steps)
-                spans.append((index[trajectory, step], last))
+                spans.append((first, last))
             segment, cell = _crossed_cells(axes, starts, steps, spans)
             _set_cells(bits, trajectory[segment], cell)
 
@@ -138,15 +140,13 @@ class GridHypotheses(BoxHypotheses):
         """Return for each axis the low ends and the high ends of its cells."""
         ends = {}
         for name, (low, high, count) in self.axes.items():
-            lines = low + np.arange(count + 1) * ((high - low) / count)
+            lines = grid_lines(low, high, count)
             ends[name] = (lines[:-1], lines[1:])
         return ends
 
-    def _lines(self, space: StateSpace) -> list[GridAxis]:
-        return [
-            GridAxis(space.column(name), low, high, count, name in space.angles)
-            for name, (low, high, count) in self.axes.items()
-        ]
+    def lines(self, space: StateSpace) -> list[GridAxis]:
+        """Return the axes of the grid, with their lines as they are judged."""
+        return [GridAxis(space, name, *axis) for name, axis in self.axes.items()]
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
@@ -195,9 +195,9 @@ def _crossed_cells(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (segment, cell) for the cells between the two ends of each segment.
 
-    Wherever a segment crosses a grid line, the segment enters a cell. The line gives the cell's
-    index along one axis. The position on the line gives the cell's indices along the other axes.
-    Segments that cross fewer than two lines have no cell between their ends.
+    A segment comes into a cell wherever it crosses a grid line. It enters the cell where it comes
+    deep enough into the cell, as it would enter a box. Segments that cross fewer than two lines
+    have no cell between their ends.
 
     Args:
       axes: axes of the grid.
@@ -210,21 +210,24 @@ def _crossed_cells(
     if not many.size:
         return many, many
     starts, steps = starts[many], steps[many]
-    spans = [(first[many], last[many]) for first, last in spans]
-    segments, cells = [], []
-    for axis, span in zip(axes, spans, strict=True):
-        segment, entered, fraction = axis.crossings(starts, steps, *span)
-        indices = [
-            entered
-            if other is axis
-            else other.index_after(
-                starts[segment], steps[segment], fraction, first[segment], last[segment]
-            )
-            for other, (first, last) in zip(axes, spans, strict=True)
-        ]
-        segments.append(many[segment])
-        cells.append(_join(axes, indices))
-    return np.concatenate(segments), np.concatenate(cells)
+    found, firsts = [], [first[many] for first, _ in spans]
+    for axis, first, (_, last) in zip(axes, firsts, spans, strict=True):
+        still = np.abs(steps[:, axis.column]) <= axis.resolution
+        found.append(axis.crossings(starts, steps, first, np.where(still, first, last[many])))
+    along = np.repeat(np.arange(len(axes)), [len(segment) for segment, _, _ in found])
+    segment, direction, fraction = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.lexsort((fraction, segment))
+    along, segment, direction = along[order], segment[order], direction[order]
+    begins = np.searchsorted(segment, segment)  # the first line that each one's segment crosses
+    enter, leave, indices = np.zeros(len(segment)), np.ones(len(segment)), []
+    for number, (axis, first) in enumerate(zip(axes, firsts, strict=True)):
+        crossed = np.concatenate([[0], np.cumsum(np.where(along == number, direction, 0))])
+        index = first[segment] + crossed[1:] - crossed[begins]
+        one_enters, one_leaves = axis.part(starts[segment], steps[segment], index)
+        enter, leave = np.maximum(enter, one_enters), np.minimum(leave, one_leaves)
+        indices.append(index)
+    deep = leave > enter
+    return many[segment[deep]], _join(axes, indices)[deep]
 
 
 def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:

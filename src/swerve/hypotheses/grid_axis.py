@@ -1,45 +1,80 @@
 """Number the cells along one axis of a regular grid, also where an angle wraps.
 
-    index = floor((x - low) / width)
+    index = e    where    line e <= x < line e + 1,    line e = low + e width
 
-Indices go on beyond the ends of the grid, so that the difference of two indices is the number of
-lines between them.
+Lines are edges, judged as `constraints.edges` says. Indices go on beyond the ends of the grid, so
+that the difference of two indices is the number of lines between them.
 
 Shapes: S segments, n state dimensions.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from swerve.base.space import TWO_PI, is_full_turn
+from swerve.base.space import TWO_PI, StateSpace, is_full_turn
+from swerve.constraints.edges import TURNS, ZERO, coordinate, part, threshold
+
+
+def grid_lines(low: float, high: float, count: int) -> np.ndarray:
+    """Return the count + 1 lines of a grid; a range of about a full turn ends exactly there."""
+    lines = low + np.arange(count + 1) * ((high - low) / count)
+    if math.isclose(high - low, TWO_PI, rel_tol=1e-9):
+        lines[-1] = low + TWO_PI
+    return lines
 
 
 class GridAxis:
     """One axis of a grid, with cells of equal width; indices go on beyond both ends.
 
-    A position of extended index e lies between line e and line e + 1. On a straight axis, e is -1
+    A number of extended index e lies between line e and line e + 1. On a straight axis, e is -1
     below the grid and `count` above the grid. On the axis of an angle, each turn adds `period`
     indices: `count` for the cells and, unless the cells fill the turn, one for the gap.
     """
 
-    def __init__(self, column: int, low: float, high: float, count: int, is_angle: bool) -> None:
-        self.column, self.low, self.count, self.is_angle = column, low, count, is_angle
+    def __init__(self, space: StateSpace, name: str, low: float, high: float, count: int) -> None:
+        self._space, self._name, self.count = space, name, count
+        self.column = space.column(name)
+        self.is_angle = name in space.angles
+        self.resolution = float(space.resolution[self.column])
         self.width = (high - low) / count
-        self.period = count if is_angle and is_full_turn(low, high) else count + 1
+        self.period = count if self.is_angle and is_full_turn(low, high) else count + 1
+        self._low = low - self.resolution
+        lines = grid_lines(low, high, count)
+        if self.is_angle:
+            lines = (TURNS[:, None] + lines[: self.period]).ravel()
+        self._first = -ZERO * self.period if self.is_angle else 0  # number of the first line
+        ends = [] if self.is_angle else [np.inf]
+        self._lines = np.concatenate(
+            [np.negative(ends), threshold(lines, self.resolution).astype(float), ends]
+        )
 
-    def position(self, states: np.ndarray) -> np.ndarray:
-        """Return how far [...] states [..., n] lie above the low end; in [0, 2 pi) for angles."""
-        position = states[..., self.column] - self.low
-        return position % TWO_PI if self.is_angle else position
+    @property
+    def lines(self) -> tuple[list[float], int]:
+        """The thresholds of all lines in ascending order, and the number of the first line."""
+        inner = self._lines if self.is_angle else self._lines[1:-1]
+        return inner.tolist(), self._first
 
-    def index(self, position: np.ndarray) -> np.ndarray:
-        """Return the extended index [...] of positions [...]."""
-        if not self.is_angle:
-            return np.clip(np.floor(position / self.width), -1, self.count).astype(np.int64)
-        turn = np.floor(position / TWO_PI)
-        within = np.floor((position - turn * TWO_PI) / self.width)
-        return (turn * self.period + np.minimum(within, self.period - 1)).astype(np.int64)
+    def values(self, states: np.ndarray) -> np.ndarray:
+        """Return the numbers [...] of states [..., n] that are compared with the lines."""
+        return coordinate(states, self._space, self._name).astype(np.float64)
+
+    def index(self, values: np.ndarray) -> np.ndarray:
+        """Return the extended index [...] of numbers [...].
+
+        Arithmetic gives the index or a neighbour; comparisons with the lines decide.
+        """
+        if self.is_angle:
+            turn = np.floor((values - self._low) / TWO_PI)
+            within = np.floor((values - self._low - turn * TWO_PI) / self.width)
+            guess = turn * self.period + np.minimum(within, self.period - 1)
+            guess = np.clip(guess, self._first + 1, self._first + len(self._lines) - 3)
+        else:
+            guess = np.clip(np.floor((values - self._low) / self.width), -1, self.count)
+        guess = guess.astype(np.int64)
+        return guess - (values < self.line(guess)) + (values >= self.line(guess + 1))
 
     @property
     def has_gap(self) -> bool:
@@ -66,7 +101,7 @@ class GridAxis:
         """
         if not self.is_angle:
             return last
-        missed = self.position(starts) + steps[:, self.column] - self.position(ends)
+        missed = self.values(starts) + steps[:, self.column] - self.values(ends)
         return last + np.round(missed / TWO_PI).astype(np.int64) * self.period
 
     def cell(self, index: np.ndarray) -> np.ndarray:
@@ -74,15 +109,13 @@ class GridAxis:
         return index % self.period if self.is_angle else index
 
     def line(self, number: np.ndarray) -> np.ndarray:
-        """Return the position of a grid line."""
-        if not self.is_angle:
-            return number * self.width
-        return number // self.period * TWO_PI + number % self.period * self.width
+        """Return where a grid line lies; on a straight axis, -inf and inf beyond the grid."""
+        return self._lines[number - self._first + (0 if self.is_angle else 1)]
 
     def crossings(
         self, starts: np.ndarray, steps: np.ndarray, first: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return (segment, index entered, fraction of the segment) of every line crossed.
+        """Return (segment, direction, fraction of the segment) of every line crossed.
 
         Args:
           starts: [S, n] where segments begin.
@@ -93,28 +126,21 @@ class GridAxis:
         count = np.abs(last - first)
         segment = np.repeat(np.arange(len(count)), count)
         order = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
-        entered = np.minimum(first, last)[segment] + order
-        entered += (last > first)[segment]
-        line = entered + (last < first)[segment]
-        position, step = self.position(starts)[segment], steps[segment, self.column]
-        ahead = self.line(line) - position
+        line = np.minimum(first, last)[segment] + order + 1
+        start, step = self.values(starts)[segment], steps[segment, self.column]
+        ahead = self.line(line) - start
         fraction = np.divide(ahead, step, out=np.zeros(len(step)), where=step != 0.0)
-        return segment, entered, np.clip(fraction, 0.0, 1.0)
+        return segment, np.sign(last - first)[segment], np.clip(fraction, 0.0, 1.0)
 
-    def index_after(
-        self,
-        starts: np.ndarray,
-        steps: np.ndarray,
-        fraction: np.ndarray,
-        first: np.ndarray,
-        last: np.ndarray,
-    ) -> np.ndarray:
-        """Return the extended index just after a fraction of segments from index first to last.
+    def part(
+        self, starts: np.ndarray, steps: np.ndarray, index: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the part (enter, leave) of each segment that lies deep in cells, see `edges.part`.
 
-        A line met exactly at the fraction counts as crossed. So a cell that is only touched at a
-        corner is not entered, as with boxes.
+        Args:
+          starts: [S, n] where segments begin.
+          steps: [S, n] from starts to ends, along the shorter arc.
+          index: [S] extended index of the cell of each segment.
         """
-        position = self.position(starts) + fraction * steps[:, self.column]
-        index = self.index(position)
-        index -= (last < first) & (self.line(index) >= position)
-        return np.clip(index, np.minimum(first, last), np.maximum(first, last))
+        start, step = self.values(starts), steps[:, self.column]
+        return part(start, step, self.line(index), self.line(index + 1), self.resolution)

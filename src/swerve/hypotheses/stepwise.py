@@ -7,13 +7,13 @@ All other segments, and hypotheses other than grids, are judged as a trajectory 
 
 from __future__ import annotations
 
-import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from swerve.base.space import TWO_PI, StateSpace
+from swerve.base.space import MAX_TURNS, TWO_PI, StateSpace, single
 from swerve.constraints.base import step_enters
 from swerve.hypotheses.base import HypothesisSet
 from swerve.hypotheses.bits import unpack
@@ -59,8 +59,10 @@ class WholeSteps:
 
     def enter(self, state: list[float]) -> Sequence[int]:
         """Return the hypotheses that the step from the last state to this state enters."""
-        last, self._last = self._last, list(state)
-        return self.segment([last or state, state] if self.between_states else [state])
+        states = [self._last or state, state] if self.between_states else [state]
+        entered = self.segment(states)
+        self._last = list(state)  # only once it was judged: code of a user may fail
+        return entered
 
     def segment(self, states: list[list[float]]) -> Sequence[int]:
         """Return the hypotheses that one state, or two states and their segment, enter."""
@@ -74,27 +76,26 @@ class GridSteps:
 
     def __init__(self, hypotheses: GridHypotheses, space: StateSpace, whole: WholeSteps) -> None:
         self._whole = whole
-        self._axes = [
-            GridAxis(space.column(name), low, high, count, name in space.angles)
-            for name, (low, high, count) in hypotheses.axes.items()
-        ]
+        self._axes = hypotheses.lines(space)
+        self._lines = [axis.lines for axis in self._axes]
         self._state: list[float] = []
         self._places: list[tuple[float, int]] = []
 
     def enter(self, state: list[float]) -> Sequence[int]:
         """Return the cells that the step from the last state to this state enters."""
-        places = [_place(axis, state[axis.column]) for axis in self._axes]
+        rounded = single(np.array(state)).tolist()
+        places = [self._place(k, rounded) for k in range(len(self._axes))]
         last, before = self._state, self._places
-        self._state, self._places = list(state), places
+        self._state, self._places = rounded, places
         if before:
             crossed = sum(
-                _crossed(axis, state[axis.column] - last[axis.column], old, new)
+                _crossed(axis, old, new)
                 for axis, old, new in zip(self._axes, before, places, strict=True)
             )
             if crossed == 0:
                 return ()
             if crossed > 1 and self._whole.between_states:
-                return self._whole.segment([last, state])
+                return self._whole.segment([last, rounded])
         cell = 0
         for axis, (_, index) in zip(self._axes, places, strict=True):
             within = index % axis.period if axis.is_angle else index
@@ -102,6 +103,14 @@ class GridSteps:
                 return ()
             cell = cell * axis.count + within
         return (cell,)
+
+    def _place(self, k: int, state: list[float]) -> tuple[float, int]:
+        """Return the number along axis k that is compared with its lines, and its index."""
+        axis, (lines, first) = self._axes[k], self._lines[k]
+        value = state[axis.column]
+        if axis.is_angle and abs(value) > MAX_TURNS * TWO_PI:
+            value = float(axis.values(np.array(state)))
+        return value, bisect_right(lines, value) - 1 + first
 
 
 class ErodedSteps:
@@ -132,21 +141,9 @@ class ErodedSteps:
         return bool(step_enters(rest, start, end, self._space, self._between_states)[0])
 
 
-def _place(axis: GridAxis, value: float) -> tuple[float, int]:
-    """Return the position and the extended index of a number, as `GridAxis` does for arrays."""
-    position = value - axis.low
-    if not axis.is_angle:
-        return position, min(max(math.floor(position / axis.width), -1), axis.count)
-    position %= TWO_PI
-    turn = math.floor(position / TWO_PI)  # 1 where a tiny negative number is rounded to a full turn
-    within = math.floor((position - turn * TWO_PI) / axis.width)
-    return position, turn * axis.period + min(within, axis.period - 1)
-
-
-def _crossed(axis: GridAxis, moved: float, old: tuple[float, int], new: tuple[float, int]) -> int:
-    """Return the number of lines of an axis that a move crosses, angles by the shorter arc."""
-    (first, first_index), (last, last_index) = old, new
+def _crossed(axis: GridAxis, start: tuple[float, int], end: tuple[float, int]) -> int:
+    """Return the number of lines of an axis between two places, angles by the shorter arc."""
+    (first, first_index), (last, last_index) = start, end
     if axis.is_angle:
-        moved -= TWO_PI * round(moved / TWO_PI)
-        last_index += round((first + moved - last) / TWO_PI) * axis.period
+        last_index -= round((last - first) / TWO_PI) * axis.period
     return abs(last_index - first_index)

@@ -21,6 +21,7 @@ from swerve.base.arguments import whole_number
 from swerve.base.space import TWO_PI, Actions, StateSpace
 from swerve.hypotheses.bits import no_bits, pack, unpack
 from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
+from swerve.hypotheses.grid_axis import grid_lines
 
 AT_ONCE = 1 << 22  # pairs of a trajectory and a cell judged at a time: bounds the memory
 ROUNDING = 1e-9  # share of a stride: errors of sums of widths up to this one are rounding
@@ -69,9 +70,10 @@ class WindowHypotheses(BoxHypotheses):
         for (name, (low, high, count)), num in zip(
             self._cells.axes.items(), self.shape, strict=True
         ):
-            stride = (high - low) / count
-            first = np.arange(num)
-            ends[name] = (low + first * stride, low + (first + self.overlap) * stride)
+            lines = grid_lines(low, high, count)
+            if num == count:  # windows continue across the ends of a full turn
+                lines = np.append(lines, lines[1:] + TWO_PI)
+            ends[name] = (lines[:num], lines[self.overlap : self.overlap + num])
         return ends
 
     def violations(

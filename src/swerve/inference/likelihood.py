@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from swerve.hypotheses.base import HypothesisSet
     from swerve.problem.record import ProblemRecord
 
-THRESHOLD = 0.1  # nats per demonstration: the least gain for which greedy selection picks
 MAX_TOLERANCE = 0.5  # probability: above, a constraint would be ignored more often than obeyed
 NUM_TOLERANCES = 61  # tolerances tried first, with evenly spaced logs
 LEAST_TOLERANCE = 1e-6  # probability: the smallest tolerance tried
@@ -118,8 +117,10 @@ def is_counted(
     if clearance is not None:
         if not 0.0 <= number_or_nan(clearance) < math.inf:
             raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
+        columns = [space.column(name) for name in hypotheses.state_names]
+        clear = float(clearance) + space.resolution[columns].max(initial=0.0)
         for end in ends:
-            counted &= hypotheses.distance(end, space) > float(clearance)
+            counted &= hypotheses.distance(end, space) > clear
     if judged is not hypotheses:
         for index in range(len(hypotheses)):
             whole, eroded = hypotheses.constraint(index), judged.constraint(index)

@@ -1,0 +1,116 @@
+"""Decide on which side of an edge a number lies: the one rule of all judging.
+
+    x lies at or above an edge e    where    float32(x) >= float32(e - r),
+
+with r the resolution of the state, about a millionth of its extent (`StateSpace.resolution`). So a
+number that lies on an edge but for rounding counts as on it, whether it was recorded in decimals,
+simulated in float32 or computed in float64. An interval [low, high) holds the numbers that are at
+or above low and not at or above high. The interval of an angle is repeated at every turn. Nothing
+but comparisons decides, so NumPy and JAX agree on every number.
+
+A segment between two states enters a set where one of its ends lies in the set, or where the
+segment comes more than the resolution deep into the set: a corner that is touched is not entered.
+Along a state that changes by no more than its resolution, the segment stays where it begins.
+
+Shapes: n state dimensions, ... any batch dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from swerve.base.space import MAX_TURNS, TWO_PI, StateSpace, is_full_turn, single, wide
+
+ZERO = MAX_TURNS + 3  # index of the turn 0 in TURNS
+TURNS = TWO_PI * np.arange(-ZERO, ZERO + 1)  # rad; as far as angles and segments reach
+
+
+def threshold(edges: Any, resolution: float) -> np.ndarray:
+    """Return the least float32 numbers [...] that count as at or above edges [...]."""
+    return np.asarray(np.float32(np.asarray(edges) - resolution))
+
+
+def coordinate(states: Any, space: StateSpace, name: str) -> Any:
+    """Return one component [...] of states [..., n] as float32; angles within MAX_TURNS turns."""
+    values = single(states[..., space.column(name)])
+    if name not in space.angles:
+        return values
+    xp = values.__array_namespace__()
+    near = values - single(TWO_PI * xp.round(values / TWO_PI))
+    return xp.where(xp.abs(values) <= MAX_TURNS * TWO_PI, values, near)
+
+
+class Interval:
+    """A half-open interval [low, high) of one state, repeated at every turn for an angle."""
+
+    def __init__(self, low: float, high: float, resolution: float, is_angle: bool) -> None:
+        turns = TURNS if is_angle else np.zeros(1)
+        self._low, self._is_angle, self._resolution = low - resolution, is_angle, resolution
+        self._lows, self._highs = (threshold(edge + turns, resolution) for edge in (low, high))
+        self.is_everything = is_angle and is_full_turn(low, high)
+
+    def holds(self, values: Any) -> Any:
+        """Return [...] True where float32 numbers [...] lie in the interval."""
+        xp = values.__array_namespace__()
+        if self.is_everything:
+            return xp.ones(values.shape, bool)
+        if not self._is_angle:
+            return (values >= self._lows[0]) & (values < self._highs[0])
+        return values < xp.asarray(self._highs)[self._image(values)]
+
+    def parts(self, start: Any, step: Any) -> list[tuple[Any, Any]]:
+        """Return for each image of the interval the part (enter, leave) of a segment in the image.
+
+        The segment is start + u * step with 0 <= u <= 1; enter >= leave where the segment misses
+        the image. The images of an angle's interval are those of three turns, the most that half a
+        turn can reach.
+
+        Args:
+          start: [...] float32 numbers where segments begin.
+          step: [...] from the starts to the ends of segments.
+        """
+        xp = start.__array_namespace__()
+        if self.is_everything:
+            return [(xp.full(start.shape, -math.inf), xp.full(start.shape, math.inf))]
+        middle = self._image(start) if self._is_angle else xp.zeros(start.shape, int)
+        lows, highs = xp.asarray(self._lows), xp.asarray(self._highs)
+        images = [middle + shift for shift in ((-1, 0, 1) if self._is_angle else (0,))]
+        return [
+            part(start, step, wide(lows[image]), wide(highs[image]), self._resolution)
+            for image in images
+        ]
+
+    def _image(self, values: Any) -> Any:
+        """Return the index [...] of the last turn whose image begins at or below angles [...]."""
+        xp = values.__array_namespace__()
+        turn = xp.floor((values - self._low) / TWO_PI) + ZERO
+        turn = xp.nan_to_num(xp.clip(turn, 1, len(TURNS) - 3)).astype(int)
+        lows = xp.asarray(self._lows)
+        return turn - (values < lows[turn]) + (values >= lows[turn + 1])
+
+
+def part(start: Any, step: Any, low: Any, high: Any, resolution: float) -> tuple[Any, Any]:
+    """Return the part (enter, leave) of a segment that lies deeper in an interval than its edges.
+
+    Args:
+      start: [...] float32 numbers where segments begin.
+      step: [...] from the starts to the ends of segments.
+      low: [...] threshold of the low edge, a resolution below it.
+      high: [...] threshold of the high edge, a resolution below it.
+      resolution: of the state.
+
+    Returns:
+      Shares of the segment, each [...]; enter >= leave where the segment misses the interval.
+    """
+    xp = step.__array_namespace__()
+    still, start = xp.abs(step) <= resolution, wide(start)
+    divisor = xp.where(still, 1.0, step)
+    to_low, to_high = (low + 2.0 * resolution - start) / divisor, (high - start) / divisor
+    outside = xp.where((low <= start) & (start < high), -math.inf, math.inf)
+    enter = xp.where(still, outside, xp.minimum(to_low, to_high))
+    leave = xp.where(still, -outside, xp.maximum(to_low, to_high))
+    empty = high - low <= 2.0 * resolution  # an interval without a deep part
+    return xp.where(empty & ~still, math.inf, enter), leave

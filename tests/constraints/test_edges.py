@@ -1,0 +1,225 @@
+"""The rule of edges: every way of judging gives the same answer at every float near an edge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from swerve import (
+    ActionBox,
+    Ball,
+    Box,
+    HalfSpace,
+    Occupancy,
+    Polygon,
+    Union,
+    grid,
+    windows,
+)
+from swerve.base.space import TWO_PI, Actions, StateSpace
+from swerve.constraints.base import Constraint
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
+from swerve.hypotheses.bits import unpack
+from swerve.hypotheses.stepwise import stepwise
+
+LINE = StateSpace(("x", "y"), (), np.array([[-3.0, 3.0], [-4.0, 4.0]]))
+PENDULUM = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def around(values: np.ndarray) -> np.ndarray:
+    """The numbers, their neighbours on both sides in either precision, and both roundings."""
+    near = [values]
+    for kind in (np.float64, np.float32):
+        rounded = values.astype(kind)
+        near += [rounded, *(np.nextafter(rounded, kind(side)) for side in (-np.inf, np.inf))]
+    return np.unique(np.concatenate([x.astype(np.float64) for x in near]))
+
+
+def by_jax(judge: Callable, *states: np.ndarray) -> np.ndarray:
+    return np.asarray(judge(*(jnp.asarray(x, jnp.float32) for x in states)))
+
+
+class AllWays:
+    """Judges segments in all the ways there are, and compares the answers."""
+
+    def __init__(self, hypotheses: HypothesisSet, space: StateSpace) -> None:
+        self.hypotheses, self.space = hypotheses, space
+        constraints = [hypotheses.constraint(k) for k in range(len(hypotheses))]
+        self.listed = ConstraintHypotheses(constraints)
+        self.known = jax.jit(
+            lambda a, b: jnp.stack([c.crosses(a, b, space) for c in constraints], axis=-1)
+        )
+
+    def __call__(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Return [S, H] which hypotheses segments enter."""
+        states, num = np.stack([starts, ends], axis=1), len(self.hypotheses)
+        cases = [(h, k) for h in (self.hypotheses, self.listed) for k in (np.float64, np.float32)]
+        answers = [unpack(h.violations(states.astype(k), self.space, True), num) for h, k in cases]
+        answers.append(
+            np.asarray(self.known(*(jnp.asarray(x, jnp.float32) for x in (starts, ends))))
+        )
+        monitored = np.zeros((len(states), num), bool)
+        for row, path in zip(monitored, states.tolist(), strict=True):
+            steps = stepwise(self.hypotheses, self.hypotheses, self.space, True)
+            for state in path:
+                row[list(steps.enter(state))] = True
+        for other in (*answers[1:], monitored):
+            np.testing.assert_array_equal(other, answers[0])
+        return answers[0]
+
+
+class TestSideOfAnEdge:
+    @given(tenth=st.integers(-29, 29), width=st.integers(1, 30))
+    @example(tenth=-12, width=3)
+    def test_a_decimal_is_on_its_edge_in_either_precision(self, tenth, width) -> None:
+        """And so is what sums of tenths come to, in float32 and float64."""
+        low, high = tenth / 10, (tenth + width) / 10
+        for kind in (np.float64, np.float32):
+            sums = [kind(0.0)]
+            for _ in range(abs(tenth)):
+                sums.append(sums[-1] + kind(math.copysign(0.1, tenth)))
+            on = np.array([kind(low), kind(tenth) * kind(0.1), kind(tenth) / kind(10), sums[-1]])
+            states = np.stack([on, np.zeros(4, kind)], axis=-1)
+            assert Box(x=(low, high)).contains(states, LINE).all()
+            assert not Box(x=(low - 1.0, low)).contains(states, LINE).any()
+            assert by_jax(lambda s: Box(x=(low, high)).contains(s, LINE), states).all()
+
+    def test_only_a_millionth_of_the_extent_counts_as_on_the_edge(self) -> None:
+        states = np.array([[0.5 - 1e-5, 0.0], [0.5 - 1e-6, 0.0], [0.5, 0.0]])
+        inside = Box(x=(0.5, 1.0)).contains(states, LINE)
+        np.testing.assert_array_equal(inside, [False, True, True])
+
+    def test_far_from_zero_the_resolution_is_that_of_float32(self) -> None:
+        """Coordinates of a map grid, in metres."""
+        space = StateSpace(("x",), (), np.array([[5e5, 5e5 + 10.0]]))
+        assert space.resolution[0] == pytest.approx(0.0625)
+        edge = 5e5 + 4.3
+        assert Box(x=(edge, edge + 1)).contains(np.array([edge], np.float32), space)
+
+    @pytest.mark.parametrize("edge", [0.0, math.pi, -math.pi, TWO_PI, 1.5 * math.pi, 7.0])
+    def test_an_angle_is_on_its_edge_at_every_turn(self, edge: float) -> None:
+        above, below = Box(theta=(edge, edge + 1.0)), Box(theta=(edge - 1.0, edge))
+        cells = grid(theta=(edge, edge + TWO_PI, 4))
+        theta = edge + TWO_PI * np.arange(-8, 9)
+        for kind in (np.float64, np.float32):
+            states = np.stack([theta, np.zeros(17)], axis=-1).astype(kind)
+            assert above.contains(states, PENDULUM).all()
+            assert not below.contains(states, PENDULUM).any()
+            assert (cells.cells(states, PENDULUM) == 0).all()
+            assert by_jax(lambda s: above.contains(s, PENDULUM), states).all()
+            assert not by_jax(lambda s: below.contains(s, PENDULUM), states).any()
+
+    def test_every_float_near_a_line_of_an_angle_is_in_one_cell(self) -> None:
+        cells = grid(theta=(-math.pi, math.pi, 7), omega=(-6.0, 6.0, 10))
+        lines = -math.pi + TWO_PI / 7 * np.arange(8)
+        theta = around(np.concatenate([lines + TWO_PI * turn for turn in range(-11, 12)]))
+        states = np.stack([theta, np.full(len(theta), 0.3)], axis=-1)
+        found = cells.cells(states, PENDULUM)
+        boxes = [cells.constraint(k) for k in range(len(cells))]
+        inside = np.stack([box.contains(states, PENDULUM) for box in boxes], axis=1)
+        np.testing.assert_array_equal(inside.sum(axis=1), 1)
+        np.testing.assert_array_equal(inside.argmax(axis=1), found)
+        within = np.abs(theta) < 10 * TWO_PI
+        jitted = [by_jax(lambda s, b=b: b.contains(s, PENDULUM), states[within]) for b in boxes]
+        np.testing.assert_array_equal(np.stack(jitted, axis=1), inside[within])
+
+    @pytest.mark.parametrize(
+        ("box", "expected"),
+        [((0.7, 1.0), [False, True, True, False]), ((-0.1, 0.7), [True, False, False, False])],
+    )
+    def test_an_action_on_the_edge(self, box, expected) -> None:
+        for kind in (np.float64, np.float32):
+            values = np.array([0.0, 0.7, 0.9, 1.0], kind)[:, None]
+            forbidden = ActionBox(force=box).forbids(Actions(("force",), values))
+            np.testing.assert_array_equal(forbidden, expected)
+            traced = by_jax(lambda v: ActionBox(force=box).forbids(Actions(("force",), v)), values)
+            np.testing.assert_array_equal(traced, expected)
+
+    def test_an_action_of_about_zero(self) -> None:
+        """The middle of a range of actions may be off by the rounding of the range."""
+        values = np.array([[-1e-8], [0.0], [1e-8], [-0.1]], np.float32)
+        positive = ActionBox(force=(0.0, math.inf)).forbids(Actions(("force",), values))
+        np.testing.assert_array_equal(positive, [True, True, True, False])
+
+
+SETS = {
+    "cells": grid(x=(-3.0, 3.0, 20), y=(-4.0, 4.0, 2)),
+    "cells of tenths": grid(x=(-0.3, 0.5, 8), y=(-0.3, 0.4, 7)),
+    "windows": windows(x=(-0.8, 0.8, 0.8), y=(-0.9, 0.9, 0.6), overlap=2),
+    "boxes": ConstraintHypotheses(
+        [Box(x=(-0.3, 0.6)), Box(y=(0.1, math.inf)), Box(x=(0.3, 0.4), y=(0.2, 0.3))]
+    ),
+    "shapes": ConstraintHypotheses(
+        [
+            Ball(0.5, x=0.1, y=0.3),
+            HalfSpace(0.7, x=1.0, y=-2.0),
+            Polygon([(0.1, 0.2), (0.7, 0.2), (0.7, 0.8), (0.1, 0.8)]),
+            Occupancy("map", np.eye(6, dtype=bool), (-0.6, -0.6), 0.2),
+        ]
+    ),
+}
+ROUND = AllWays(grid(theta=(-math.pi, math.pi, 8), omega=(-6.0, 6.0, 5)), PENDULUM)
+fewer = settings(max_examples=20)  # each holds a dozen segments
+
+
+class TestSegments:
+    @pytest.mark.parametrize("ways", [AllWays(s, LINE) for s in SETS.values()], ids=[*SETS])
+    @fewer
+    @given(seed=seeds)
+    def test_all_ways_agree_on_decimals(self, ways: AllWays, seed: int) -> None:
+        """Through corners, along lines, at rest; with rounding from sums in either precision."""
+        generator = np.random.default_rng(seed)
+        tenths = generator.integers(-9, 10, (2, 12, 2))
+        sums = np.where(generator.random(tenths.shape) < 0.5, tenths / 10, tenths * 0.1)
+        noise = generator.choice([0.0, 1e-16, -6e-8, 6e-8], tenths.shape)
+        np.testing.assert_array_equal(ways(*(sums + noise)), ways(*(tenths / 10)))
+
+    @fewer
+    @given(seed=seeds)
+    def test_all_ways_agree_on_angles(self, seed: int) -> None:
+        generator = np.random.default_rng(seed)
+        first, change = generator.integers(-24, 25, 12), generator.integers(-3, 4, 12)
+        theta = np.stack([first, first + change]) * TWO_PI / 8
+        omega = generator.integers(-5, 6, (2, 12)) * 1.2
+        exact = np.stack([theta, omega], axis=-1)
+        noise = generator.choice([0.0, 4e-7, -4e-7], exact.shape)
+        np.testing.assert_array_equal(ROUND(*(exact + noise)), ROUND(*exact))
+
+    @pytest.mark.parametrize(
+        "constraint", [s.constraint(len(s) // 2) for s in SETS.values()], ids=[*SETS]
+    )
+    def test_the_answer_does_not_hang_on_company(self, constraint: Constraint) -> None:
+        generator = np.random.default_rng(0)
+        starts, ends = generator.uniform(-1.5, 1.5, (2, 300, 2))
+        ends = starts + 0.2 * (ends - starts)
+        ends[0] = [60.0, -80.0]
+        together = constraint.crosses(starts, ends, LINE)
+        alone = [constraint.crosses(a, b, LINE) for a, b in zip(starts, ends, strict=True)]
+        np.testing.assert_array_equal(together, alone)
+        assert 0 < together.sum() < 300
+
+    def test_a_map_is_judged_as_its_blocked_cells_are(self) -> None:
+        blocked = np.random.default_rng(3).random((6, 8)) < 0.2
+        room = Occupancy("map", blocked, (-0.8, -0.6), 0.2)
+        x, y = ((low + 0.2 * np.arange(9)).tolist() for low in (-0.8, -0.6))
+        boxes = [
+            Box(x=(x[j], x[j + 1]), y=(y[i], y[i + 1]))
+            for i, j in zip(*np.nonzero(blocked), strict=True)
+        ]
+        beyond = [Box(x=(-math.inf, -0.8)), Box(x=(0.8, math.inf)), Box(y=(-math.inf, -0.6))]
+        whole = Union("map", [*boxes, *beyond, Box(y=(0.6, math.inf))])
+        generator = np.random.default_rng(4)
+        for count in (9, 900):
+            starts, ends = generator.integers(-count, count, (2, 3000, 2)) * (0.9 / count)
+            ends = starts + np.round(generator.uniform(0.0, 0.5, (3000, 1)) * (ends - starts), 3)
+            expected = whole.crosses(starts, ends, LINE)
+            np.testing.assert_array_equal(room.crosses(starts, ends, LINE), expected)
+            assert 300 < expected.sum() < 2700
