@@ -245,7 +245,7 @@ def test_a_bound_remains_where_nothing_avoids_it() -> None:
     assert resolved.log_ratio[0, 0] == evidence.log_ratio[0, 0]
     assert not infer(resolved).is_open.any()  # tried once is enough
     assert not any("did not settle" in text for text in infer(evidence).warnings)
-    in_vain = r"Sampling with the hypothesis in force did not settle it: .* more num_points"
+    in_vain = r"Sampling with hypothesis 0 in force did not settle it: .* more num_points"
     assert any(re.search(in_vain, text) for text in infer(resolved).warnings)
 
 

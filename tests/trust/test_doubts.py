@@ -98,6 +98,11 @@ def test_the_end_of_one_whose_goal_is_no_state(evidence: Evidence) -> None:
         ({"soft_value": 3.7, "effective_sample_size": 220.0}, "importance", None),
         ({"soft_value": 2.8}, "importance", "log Z_0 is not that of its samples"),
         ({"soft_value": np.nan}, "importance", None),
+        (
+            {"soft_value": -np.inf},
+            "importance",
+            "close the start in for 1 of 2 tasks (first: demo_b",
+        ),
         ({"kl": 0.6, "effective_sample_size": 20.0}, "importance", "effective sample size"),
     ],
 )

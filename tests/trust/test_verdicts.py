@@ -32,12 +32,21 @@ GOOD = {
     [
         ({"effective_sample_size": 12.0}, "smc", "not to be trusted: effective sample size 12 of"),
         ({"island_log_partition": np.linspace(0, 6, 20)}, "smc", "differ by 1.8 nats in log Z_0"),
-        ({"island_log_partition": np.repeat([3, -np.inf], 10)}, "smc", "differ by inf nats"),
+        (
+            {"island_log_partition": np.repeat([3, -np.inf], 10)},
+            "smc",
+            "differ in log Z_0: in one of them every trajectory enters a known constraint",
+        ),
         ({"kl": 0.7}, "importance", "errors may be larger than stated: KL 0.70 nats"),
         ({"kl": 0.7}, "smc", None),
         ({"soft_value": 3.3}, "smc", "the solver's log Z_0 is 3.30, not 3.00 nats"),
         ({"soft_value": 3.3, "effective_sample_size": 130.0}, "smc", "log Z_0 is 3.30, not 3.00"),
         ({"soft_value": 3.3, "effective_sample_size": 130.0}, "importance", None),
+        (
+            {"soft_value": -np.inf},
+            "smc",
+            "stated: by the solver's soft value, known constraints close the start in",
+        ),
     ],
 )
 def test_a_verdict_is_of_its_task_alone(changes: dict, method: str, text: str | None) -> None:

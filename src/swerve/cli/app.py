@@ -7,13 +7,14 @@ holds the answer starts at once.
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from typing import Any
+from typing import NoReturn
 
 import cyclopts
-from cyclopts import Parameter
+from cyclopts import CycloptsError, Parameter
 
-from swerve.base.decimals import decimal_number, whole_decimal
+from swerve.base.interrupts import STATUS, heeded, is_asked
 from swerve.base.version import VERSION
 from swerve.cli.demo import demo
 from swerve.cli.demonstrate import demonstrate
@@ -22,25 +23,14 @@ from swerve.cli.infer import infer
 from swerve.cli.learn import learn, sample
 from swerve.cli.options import say
 from swerve.cli.reproduce import reproduce
+from swerve.cli.values import convert
 from swerve.cli.watch import watch
-
-
-def _convert(kind: Any, tokens: Any) -> Any:
-    """Convert the texts of an option; numbers are read as everywhere, by `base.decimals`."""
-    return cyclopts.convert(kind, tokens, converter=_convert_one)
-
-
-def _convert_one(kind: Any, text: str) -> Any:
-    if kind is float:
-        return decimal_number(text)
-    return whole_decimal(text) if kind is int else cyclopts.convert(kind, [text])
-
 
 app = cyclopts.App(
     name="swerve",
     help="Infer which constraint a demonstrator is obeying.",
     version=VERSION,
-    default_parameter=Parameter(negative=(), converter=_convert),
+    default_parameter=Parameter(negative=(), converter=convert),
     suppress_keyboard_interrupt=False,
 )
 for command in (infer, fit_beta, watch, learn, sample, demo, demonstrate, reproduce):
@@ -50,13 +40,27 @@ for command in (infer, fit_beta, watch, learn, sample, demo, demonstrate, reprod
 def main() -> None:
     """Run the command; errors become one line and an exit status."""
     try:
-        app(sys.argv[1:])
-    except KeyboardInterrupt:
-        kept = any(word.partition("=")[0] == "--work" for word in sys.argv)
-        say("interrupted" + ("; the same command goes on from what --work holds" if kept else ""))
-        os._exit(130)  # an ordinary exit crashes where JAX is compiling; every file is complete
+        with heeded():
+            app(sys.argv[1:], exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        say(f"swerve: error: {str(error).removesuffix('.')}; see --help")
+        sys.exit(2)
     except BrokenPipeError:  # the reader of the output, such as head, has closed it
         sys.stdout = None
-    except (ValueError, OSError, ImportError) as error:
+    except (KeyboardInterrupt, Exception) as error:
+        if isinstance(error, KeyboardInterrupt) or is_asked():  # which may become another error
+            _end_interrupted()
+        if not isinstance(error, ValueError | OSError | ImportError):
+            raise
         say(f"swerve: error: {error}")
         sys.exit(1)
+    if is_asked():  # and code in between has caught the interrupt and gone on
+        _end_interrupted()
+
+
+def _end_interrupted() -> NoReturn:
+    """Say that the command was interrupted, and end the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    kept = any(word.partition("=")[0] == "--work" for word in sys.argv)
+    say("interrupted" + ("; the same command goes on from what --work holds" if kept else ""))
+    os._exit(STATUS)  # an ordinary exit crashes where JAX is compiling; every file is complete

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
 
 from swerve.cli.options import (
     AS_BEFORE,
@@ -22,7 +24,9 @@ from swerve.cli.options import (
     open_work,
     read_files,
     say,
+    tell,
 )
+from swerve.cli.values import convert_limit
 
 if TYPE_CHECKING:
     from swerve.answer import Inference
@@ -43,7 +47,7 @@ def infer(
     work: WorkPath = None,
     report: Path | None = None,
     no_resolve: bool = False,
-    resolve_seconds: float = 300.0,
+    resolve_seconds: Annotated[float, Parameter(converter=convert_limit)] = 300.0,
     greedy: int | None = None,
     threshold: float | None = None,
     as_json: AsJson = False,
@@ -73,8 +77,8 @@ def infer(
         _check_report(report)
     if not resolve_seconds > 0.0:
         raise ValueError(
-            f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: --no-resolve works "
-            "out nothing"
+            f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: to work out "
+            "nothing, give --no-resolve"
         )
     _check_greedy(greedy, threshold, demonstrations)
     job = open_work(problem, work, how)
@@ -151,13 +155,13 @@ def _show(result: Inference, picks: Picks | None, report: Path | None, as_json: 
         picked = {} if picks is None else text_tables.picks_to_json(result, picks)
         print(json.dumps(result.to_json() | picked))
     else:
-        print(result.evidence.problem.summary)
-        print(result.headline)
-        print(result.belief)
-        print(result.table())
+        tell(result.evidence.problem.summary)
+        tell(result.headline)
+        tell(result.belief)
+        tell(result.table())
         if picks is not None:
-            print(text_tables.picks_table(result, picks))
-        print(result.verdicts())
+            tell(text_tables.picks_table(result, picks))
+        tell(result.verdicts())
     if report is not None:
         result.report(report, picks)
         say(f"report: {report}")

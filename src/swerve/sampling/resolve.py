@@ -7,8 +7,8 @@ with the adapted soft value gives Z_c, however small:
 
     log(Z_c / Z_0) = log Z_c - log Z_0.
 
-Only the hypotheses that matter are resolved: hypotheses that no demonstration enters and that the
-samples leave open, in the tasks of the demonstrations.
+Only hypotheses that can change the answer are resolved (`worth_resolving`), in the tasks of the
+demonstrations: the best first, as far as the time goes.
 
 Shapes: K tasks, H hypotheses, I islands.
 """
@@ -18,9 +18,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from time import monotonic
 
 import numpy as np
 
+from swerve.base.arguments import number_or_nan
 from swerve.base.progress import progress_bar
 from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
@@ -28,6 +30,8 @@ from swerve.evidence.estimators import NothingLeftError
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
 from swerve.inference.scores import SETTLED
+from swerve.inference.unresolved import worth_resolving
+from swerve.problem.forked import check_process
 from swerve.sampling.sample import sample
 from swerve.solvers.base import AdaptingSolver, Nominal
 
@@ -42,16 +46,21 @@ def resolve(
     inference: Ranking,
     *,
     seed: int = 0,
+    seconds: float = math.inf,
     progress: bool = False,
     keep: Callable[[Evidence], None] = lambda evidence: None,
 ) -> Evidence:
-    """Estimate the ratios that evidence leaves open, for hypotheses that matter to a ranking.
+    """Estimate the ratios that evidence leaves open, for hypotheses that can change a ranking.
+
+    Hypotheses that rank first by the samples come first, so that time runs out on the last ones.
 
     Args:
       nominal: the nominal distribution that the evidence was sampled from.
       inference: ranking from evidence in which almost no trajectory avoids some hypotheses;
         hypotheses that are struck out stay as they are.
       seed: seed of everything random.
+      seconds: time after which no further estimate begins [s]; the first one always begins. What is
+        then left stays open: another call goes on from the evidence that this call returned.
       progress: whether to show a progress bar.
       keep: called with the evidence so far after each hypothesis, since all may take long.
 
@@ -62,8 +71,10 @@ def resolve(
       then infinite.
 
     Raises:
-      ValueError: if the nominal has no soft value, or is of another problem.
+      ValueError: if the nominal has no soft value, or is of another problem; if `seconds` is not a
+        number above 0.
     """
+    check_process()
     if not isinstance(nominal.solver, AdaptingSolver):
         adapting = ", ".join(solver_names(lambda kind: kind.adapts))
         raise ValueError(
@@ -76,23 +87,28 @@ def resolve(
             f"the evidence is of another problem than the nominal: {evidence.problem.summary}, "
             f"not {nominal.problem.record.summary}"
         )
-    is_open = inference.is_open
-    hypotheses = np.flatnonzero(is_open.any(axis=0)).tolist()
+    if not number_or_nan(seconds) > 0.0:
+        raise ValueError(f"seconds: expected a number of seconds > 0, got {seconds!r}")
+    deadline = monotonic() + seconds
+    hypotheses = worth_resolving(inference).tolist()
     with progress_bar("resolving", len(hypotheses), progress) as advance:
         for index in hypotheses:
-            tasks = np.flatnonzero(is_open[:, index]).tolist()
-            evidence = _resolved(nominal, evidence, index, tasks, seed)
+            if monotonic() >= deadline:
+                break
+            advance(0, note=f"hypothesis {index}")
+            tasks = np.flatnonzero(inference.is_open[:, index]).tolist()
+            evidence = _resolved(nominal, evidence, index, tasks, seed, deadline)
             keep(evidence)
             advance(1)
     return evidence
 
 
 def _resolved(
-    nominal: Nominal, evidence: Evidence, index: int, tasks: list[int], seed: int
+    nominal: Nominal, evidence: Evidence, index: int, tasks: list[int], seed: int, deadline: float
 ) -> Evidence:
     """Return evidence with the ratio of one hypothesis, in the tasks in which the ratio settles."""
     chosen = evidence.select(tasks)
-    log_ratio, error = _ratio(nominal, chosen, index, seed)
+    log_ratio, error = _ratio(nominal, chosen, index, seed, deadline)
     settled = np.isfinite(error)
     columns = {
         "avoid_probability": np.exp(log_ratio),
@@ -108,20 +124,24 @@ def _resolved(
 
 
 def _ratio(
-    nominal: Nominal, evidence: Evidence, index: int, seed: int
+    nominal: Nominal, evidence: Evidence, index: int, seed: int, deadline: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return log Z_c / Z_0 and its standard error [K] for all tasks of evidence, nats.
 
     The error is infinite where the error of Z_c stays too large, or the ratio contradicts how many
-    samples avoid c without c in force.
+    samples avoid c without c in force. It is NaN where time ran out before this could be told.
     """
     problem, solver = nominal.problem, nominal.solver
     assert isinstance(solver, AdaptingSolver)
     constraint = problem.hypotheses.constraint(index)
     narrower = dataclasses.replace(problem, known=[*problem.known, constraint])
     log_ratio, error = np.zeros(evidence.num_tasks), np.full(evidence.num_tasks, np.inf)
+    has_begun = False  # the first estimate is made however late it is
     for adapted in solver.adapted(nominal, narrower, seed):
         for k in np.flatnonzero(np.isinf(error)).tolist():
+            if has_begun and monotonic() >= deadline:
+                return log_ratio, np.where(np.isinf(error), np.nan, error)
+            has_begun = True
             avoiding = _settled(adapted, evidence.select([k]).tasks, seed)
             if avoiding is None:
                 continue

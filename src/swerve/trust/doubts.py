@@ -19,7 +19,7 @@ from swerve.demonstrations.checks import COARSE, FAST, JITTER, TIME_SLACK
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
-from swerve.trust import verdicts
+from swerve.trust import bounds, verdicts
 from swerve.trust.impossible import against_dynamics
 
 FAR_END = 0.05  # share of a state's extent: a demonstration that ends nearer its goal has arrived
@@ -34,7 +34,7 @@ def warnings(inference: Ranking) -> tuple[str, ...]:
         *_left_out(inference),
         *_impossible(inference),
         *_of_samples(inference),
-        *(() if inference.evidence.is_exact else verdicts.hardly_avoided(inference)),
+        *(() if inference.evidence.is_exact else bounds.hardly_avoided(inference)),
         *_grazed(inference),
         *_doubts(inference),
     )

@@ -23,7 +23,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from swerve.base.phrases import NUM_NAMES, some_names
+from swerve.base.phrases import NUM_NAMES
 from swerve.base.solver_kinds import kind_stored, solver_names
 from swerve.evidence.estimators import HOTTEST, LOW_ESS
 from swerve.evidence.evidence import Evidence
@@ -41,6 +41,7 @@ NUM_ERRORS = 3.0  # standard errors by which the solver's log Z_0 and the sample
 GOOD_ESS_SHARE = 0.3  # share of N: above this ESS, the policy is good but samples are too few
 NUM_SETTLED = 3  # hypotheses at the head of the ranking whose order has to be settled
 MOST_SAMPLES = 10_000_000  # trajectories per task: larger numbers are never suggested
+CLOSED_IN = "by the solver's soft value, known constraints close the start in"
 FAR_BEHIND = 7.0  # nats below the first, less errors: 1,000 times less likely, so no order needed
 
 
@@ -50,6 +51,7 @@ def warnings(inference: Ranking) -> Iterator[str]:
     yield from _apart(inference)
     yield from _too_hot(inference)
     yield from _far_policy(inference)
+    yield from _closed_in(inference)
     yield from _wrong_value(inference)
 
 
@@ -63,12 +65,13 @@ def verdict(inference: Ranking, task: int) -> str:
         other = f" at another beta: {_at_its_beta(evidence)}" if evidence.is_of_other_beta else ""
         return f"not to be trusted: effective sample size {left}{other}"
     if _is_apart(inference)[task]:
-        spread = evidence.island_spread[task]
-        return f"not to be trusted: parts of its samples differ by {spread:.1f} nats in log Z_0"
+        return f"not to be trusted: parts of its samples differ {_apart_by(evidence, task)}"
     if is_too_hot(evidence):
         return f"errors may be larger than stated: {_at_its_beta(evidence)}"
     if _is_far(inference)[task]:
         return f"errors may be larger than stated: KL {evidence.kl[task]:.2f} nats"
+    if _is_closed(inference)[task]:
+        return f"errors may be larger than stated: {CLOSED_IN}"
     if (_value_gap(inference) > 0.0)[task]:
         values = f"{evidence.soft_value[task]:.2f}, not {evidence.log_partition[task]:.2f} nats"
         return f"errors may be larger than stated: the solver's log Z_0 is {values}"
@@ -160,13 +163,19 @@ def _is_far(inference: Ranking) -> np.ndarray:
     return used & (inference.evidence.kl > HIGH_KL[inference.evidence.method])
 
 
+def _is_closed(inference: Ranking) -> np.ndarray:
+    """Return [K] True where by the solver's soft value nobody gets out of the start."""
+    used = (inference.task_counts > 0) & ~_has_too_few(inference)
+    return used & np.isneginf(inference.evidence.soft_value)
+
+
 def _value_gap(inference: Ranking) -> np.ndarray:
     """Return [K] the unexplained gap between log Z_0 of the solver and of its samples, nats.
 
     Importance weights explain a gap of -log(ESS / N), for example where only the share ESS / N of
     the trajectories survives a wall. Resampled trajectories of a grid do not explain this gap,
     since their ESS counts ancestors. The gap is 0 for tasks not in use, and where the solver has no
-    soft value.
+    soft value or closes the start in.
     """
     evidence = inference.evidence
     kind = kind_stored(evidence.solver)
@@ -177,8 +186,10 @@ def _value_gap(inference: Ranking) -> np.ndarray:
         share, error = np.ones_like(share), evidence.log_partition_error
     explained = NUM_ERRORS * error - np.log(share)
     allowed = kind.value_gap or 0.0
-    gap = np.abs(evidence.soft_value - evidence.log_partition) - explained - allowed
-    return np.where(used & (gap > 0.0), gap, 0.0)
+    has_value = np.isfinite(evidence.soft_value)
+    value = np.where(has_value, evidence.soft_value, evidence.log_partition)
+    gap = np.abs(value - evidence.log_partition) - explained - allowed
+    return np.where(used & has_value & (gap > 0.0), gap, 0.0)
 
 
 def _too_few(inference: Ranking) -> Iterator[str]:
@@ -200,9 +211,17 @@ def _apart(inference: Ranking) -> Iterator[str]:
         yield (
             f"not to be trusted: for {apart.sum()} of {np.count_nonzero(inference.task_counts)} "
             "tasks independent parts of the samples disagree on log Z_0 (worst: "
-            f"{inference.task_name(worst)}, by {evidence.island_spread[worst]:.1f} nats). "
+            f"{inference.task_name(worst)}, {_apart_by(evidence, worst)}). "
             f"{_remedy(evidence)}"
         )
+
+
+def _apart_by(evidence: Evidence, task: int) -> str:
+    """Return by how much parts of the samples of a task disagree on log Z_0."""
+    spread = evidence.island_spread[task]
+    if math.isinf(spread):
+        return "in log Z_0: in one of them every trajectory enters a known constraint"
+    return f"by {spread:.1f} nats in log Z_0"
 
 
 def _too_hot(inference: Ranking) -> Iterator[str]:
@@ -227,6 +246,18 @@ def _far_policy(inference: Ranking) -> Iterator[str]:
             f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
             f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {inference.task_name(worst)}, KL "
             f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(evidence)}"
+        )
+
+
+def _closed_in(inference: Ranking) -> Iterator[str]:
+    """Yield a warning where nobody gets out of a start by the solver, and samples do."""
+    closed = _is_closed(inference)
+    if closed.any():
+        first = int(closed.argmax())
+        yield (
+            f"errors may be larger than stated: {CLOSED_IN} for {np.count_nonzero(closed)} of "
+            f"{np.count_nonzero(inference.task_counts)} tasks (first: "
+            f"{inference.task_name(first)}), yet samples get out. {_remedy(inference.evidence)}"
         )
 
 
@@ -285,44 +316,4 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
         "those of sample_task. Where rewards are too sharp to be learned, learn for a lower beta "
         "and reach this beta in steps, in Python: swerve.sample(nominal, tasks, "
         f"beta={evidence.problem.beta:g})"
-    )
-
-
-def hardly_avoided(inference: Ranking) -> Iterator[str]:
-    """Yield warnings about hypotheses that hardly any nominal trajectory avoids."""
-    evidence, ranking = inference.evidence, inference.ranking
-    used = ((inference.task_counts > 0) & ~_has_too_few(inference))[:, None]
-    floored = evidence.is_floored & used
-    in_vain = np.isposinf(evidence.summary.log_ratio_error) & used  # `resolve` failed
-    bounds = ranking[floored[:, ranking].any(axis=0)]
-    if len(bounds):
-        resolution = evidence.resolution[floored[:, bounds].any(axis=1)]
-        text = (
-            f"the score of {_names(bounds)} is only a lower bound: almost every nominal trajectory "
-            "of a task enters it, and for each demonstration of such a task the samples tell no "
-            f"more than about {-math.log(resolution.min()):.1f} nats"
-        )
-        if not kind_stored(evidence.solver).adapts:
-            names = " and ".join(solver_names(lambda kind: kind.adapts))
-            text += f". The solvers {names} can tell more"
-        yield text + _in_vain(evidence) * bool((floored & in_vain).any())
-    few = ranking[(in_vain & ~floored)[:, ranking].any(axis=0)]
-    if len(few):
-        yield (
-            f"the score of {_names(few)} rests on the two or three nominal trajectories of a task "
-            "that avoid it: its error may be larger than stated"
-        ) + _in_vain(evidence)
-
-
-def _names(hypotheses: np.ndarray) -> str:
-    return some_names([f"hypothesis {index}" for index in hypotheses])
-
-
-def _in_vain(evidence: Evidence) -> str:
-    """Return the text for log ratios that `swerve.resolve` tried and could not settle."""
-    finer = kind_stored(evidence.solver).finer
-    more = f"give the solver more {finer}, " if finer else ""
-    return (
-        ". Sampling with the hypothesis in force did not settle it: sample more trajectories, "
-        f"{more}or see whether anything the robot can do avoids it"
     )

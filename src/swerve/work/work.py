@@ -8,6 +8,7 @@ for the files.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -16,11 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swerve.base.phrases import some_names
+from swerve.base.phrases import counted, duration, some_names
 from swerve.base.solver_kinds import kind_named
 from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import REWEIGHED
+from swerve.inference.unresolved import worth_resolving
 from swerve.work.folder import WorkFolder, missing_rows
 from swerve.work.settings import Settings
 from swerve.work.stages import ProblemInFolder
@@ -126,28 +128,49 @@ class Work:
             self._nominal = self._read_or_learn(tasks)
         return self._nominal
 
-    def resolved(self, ranking: Ranking) -> Evidence:
-        """Return the evidence of a ranking, with its open scores worked out: see `resolve`."""
-        evidence = ranking.evidence
+    def resolved(self, ranking: Ranking, seconds: float = math.inf) -> Evidence:
+        """Return the evidence of a ranking, with its open scores worked out: see `resolve`.
+
+        Args:
+          ranking: a ranking by demonstrations.
+          seconds: time after which no further score is worked out [s].
+        """
         is_able = kind_named(str(self.settings.solver)).adapts
         is_asked = ranking.demonstrations and ranking.score_name == "likelihood"
-        if not (is_able and is_asked and ranking.is_open.any()):
-            return evidence
+        found = worth_resolving(ranking) if is_able and is_asked else np.zeros(0, int)
+        if not len(found):
+            return ranking.evidence
         from swerve.sampling.resolve import resolve
 
-        names = np.flatnonzero(ranking.is_open.any(axis=0)).tolist()
+        num_others = np.count_nonzero(ranking.is_open.any(axis=0)) - len(found)
+        others = f"; {num_others} more can change nothing" if num_others else ""
+        limit = f", within {duration(seconds)} (--resolve-seconds)" if seconds < math.inf else ""
         self.say(
-            "hardly any trajectory avoids "
-            f"{some_names([ranking.hypothesis_name(index) for index in names])}: resolving how "
-            "unlikely that is (--no-resolve keeps the lower bounds that the samples give)"
+            f"hardly any trajectory avoids {self._named(ranking, found)}: resolving how unlikely "
+            f"that is, best first{limit}{others}; --no-resolve keeps the bounds of the samples"
         )
-        return resolve(
+        evidence = resolve(
             self.nominal(),
             ranking,
             seed=self.settings.seed or 0,
+            seconds=seconds,
             progress=self.progress,
             keep=lambda evidence: self._save([evidence]),
         )
+        untried = ranking.is_open & np.isnan(evidence.summary.log_ratio_error)
+        left = found[untried[:, found].any(axis=0)]
+        if len(left):
+            self.say(
+                f"left for want of time: {len(left)} of {counted(len(found), 'hypothesis')}, "
+                f"{self._named(ranking, left)}; their scores stay as the samples tell. Give more "
+                "--resolve-seconds" + ", and the same --work to go on" * (self._folder is not None)
+            )
+        return evidence
+
+    @staticmethod
+    def _named(ranking: Ranking, hypotheses: np.ndarray) -> str:
+        """Return the numbers and names of the first hypotheses, and how many more there are."""
+        return some_names([f"{k} ({ranking.hypothesis_name(k)})" for k in hypotheses.tolist()])
 
     def foresight(self, evidence: Evidence) -> Foresight:
         """Return the foresight for the tasks of evidence, learning it if the folder has none."""

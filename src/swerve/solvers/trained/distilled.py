@@ -33,7 +33,7 @@ from swerve.solvers.trained import losses
 from swerve.solvers.trained.lanes import Lanes, over_lanes
 from swerve.solvers.trained.networks import DenseNetwork, to_arrays
 from swerve.solvers.trained.segments import Segment
-from swerve.solvers.trained.soft_value import SoftValue
+from swerve.solvers.trained.soft_value import NEAR_FLOOR, SoftValue
 from swerve.solvers.trained.trainers import NetworkState, NetworkTrainer
 from swerve.solvers.trained.training import TrainedNominal, TrainingSolver
 
@@ -134,6 +134,11 @@ class DirectPolicy(ValuedPolicy):
     ) -> tuple[Float[Array, " A"], Float[Array, ""]]:
         """Return log pi(a | s, t) of every action, and the network's V_t(s) [nats]."""
         return self.of(self.problem.mdp.features(state, step, goal))
+
+    @property
+    def least_value(self) -> float:
+        """Soft values below this one [nats] stand for states that known constraints close in."""
+        return NEAR_FLOOR * LOWEST
 
     def of(self, features: Float[Array, " F"]) -> tuple[Float[Array, " A"], Float[Array, ""]]:
         """Return log pi of every action and V, given the features of a state."""
