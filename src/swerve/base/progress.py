@@ -14,9 +14,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING
 
+from swerve.base.interrupts import heeded
 from swerve.base.phrases import duration, shown
 
 if TYPE_CHECKING:
@@ -96,6 +97,8 @@ class Lines:
 def progress_bar(description: str, total: float, enabled: bool) -> Iterator[Advance]:
     """Show a bar, or lines where standard error is no terminal, while the block runs.
 
+    Ctrl-C is heeded inside the block, wherever it comes.
+
     Args:
       description: name of the work, shown before the bar.
       total: amount of work, in any unit.
@@ -104,15 +107,22 @@ def progress_bar(description: str, total: float, enabled: bool) -> Iterator[Adva
     Yields:
       A function to call with the amount of work done since the last call.
     """
-    if not enabled:
-        yield lambda amount, note="": None
-        return
+    with heeded(), _shown(description, total) if enabled else _silence() as advance:
+        yield advance
+
+
+def _shown(description: str, total: float) -> AbstractContextManager[Advance]:
+    """Return a bar, or lines."""
     from rich.console import Console
 
     console = Console(stderr=True)
     is_live = console.is_interactive or console.is_jupyter
-    with _bar(description, total, console) if is_live else _lines(description, total) as advance:
-        yield advance
+    return _bar(description, total, console) if is_live else _lines(description, total)
+
+
+def _silence() -> AbstractContextManager[Advance]:
+    """Return a block without progress."""
+    return contextlib.nullcontext(lambda amount, note="": None)
 
 
 @contextmanager

@@ -1,0 +1,91 @@
+"""Let Ctrl-C end work at any moment.
+
+Python raises KeyboardInterrupt wherever the main thread is. Inside a callback, such as JAX's own of
+the garbage collector, or a destructor, nobody can catch the error: Python prints it, drops it, and
+goes on. Here the dropped interrupt comes again a moment later.
+"""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+STATUS = 130  # of a command that Ctrl-C has ended: 128 + SIGINT
+SOON = 0.05  # s after which a dropped interrupt comes again: the callback is over by then
+INSIST = 1.0  # s after which an interrupt comes again that other code has caught and forgotten
+
+_lock = threading.Lock()
+_expected: list[None] = []  # interrupts that come again, told from new ones
+_asked: list[None] = []  # interrupts that were taken since `listen`
+_before: list[Any] = []  # what took dropped errors before each block of `heeded`
+
+
+@contextmanager
+def heeded() -> Iterator[None]:
+    """Raise a KeyboardInterrupt anew that a callback has dropped while the block runs."""
+    with _lock:
+        _before.append(sys.unraisablehook)
+        if len(_before) == 1:
+            sys.unraisablehook = _take_dropped
+    try:
+        yield
+    finally:
+        with _lock:
+            first = _before.pop(0) if len(_before) == 1 else _before.pop()
+            if not _before and sys.unraisablehook is _take_dropped:
+                sys.unraisablehook = first
+
+
+def _take_dropped(dropped: Any) -> None:
+    """Ask for a dropped interrupt again; pass any other dropped error on."""
+    if isinstance(dropped.exc_value, KeyboardInterrupt):
+        _again(SOON)
+    else:
+        (_before[0] if _before else sys.__unraisablehook__)(dropped)
+
+
+def _again(seconds: float) -> None:
+    """Interrupt the main thread after some time.
+
+    A thread of `threading` would not do: its locks may be held where the interrupt came.
+    """
+    _thread.start_new_thread(_wait_and_ask, (seconds,))
+
+
+def _wait_and_ask(seconds: float) -> None:
+    time.sleep(seconds)
+    _expected.append(None)
+    _thread.interrupt_main()
+
+
+def listen() -> None:
+    """Take SIGINT in a command: KeyboardInterrupt until heeded; a second Ctrl-C ends it at once."""
+    signal.signal(signal.SIGINT, _interrupt)
+
+
+def is_asked() -> bool:
+    """Return whether Ctrl-C was pressed since `listen`, whatever became of the error."""
+    return bool(_asked)
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    if _expected:
+        _expected.pop()
+    elif _asked:
+        os._exit(STATUS)
+    _asked.append(None)
+    _again(INSIST)
+    raise KeyboardInterrupt
+
+
+def leave(number: int = 0, frame: Any = None) -> None:
+    """End the process at once, where nothing has begun or everything is done; for `signal`."""
+    os.write(2, b"interrupted\n")
+    os._exit(STATUS)
