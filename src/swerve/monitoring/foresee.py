@@ -29,9 +29,12 @@ from swerve.base.solver_kinds import solver_names
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.bits import select, unpack
 from swerve.monitoring.foresight import Ahead, Foresight, Inputs, hidden_sizes
+from swerve.problem.forked import check_process
+from swerve.problem.problem import Problem
 from swerve.problem.record import ProblemRecord
 from swerve.sampling.labelled_states import LabelledStates, labelled_states
 from swerve.simulation.continuation import continued
+from swerve.simulation.trajectory import Policy
 from swerve.solvers.base import Nominal, PolicyNominal
 from swerve.solvers.trained.networks import DenseNetwork
 
@@ -63,32 +66,40 @@ class Rollouts:
     def __init__(self, nominal: Nominal, num_trajectories: int = 1000, *, seed: int = 0) -> None:
         self._nominal = _with_policies(nominal)
         self._num = whole_number(num_trajectories, "num_trajectories", 1)
-        self._key = jax.random.key(whole_number(seed, "seed", 0))
+        self._seed = whole_number(seed, "seed", 0)
         self.fingerprint = nominal.problem.record.fingerprint
 
     def towards(self, goal: np.ndarray) -> Ahead:
         """Return a function that estimates log P_0(avoid c from here on) for a goal [g]."""
-        problem, num = self._nominal.problem, self._num
-        record, target = problem.record, jnp.asarray(goal, jnp.float32)
         (policy,) = self._nominal.policies(np.asarray(goal, float)[None])
-        key = self._key
+        return _RolledOut(self._nominal.problem, policy, goal, self._num, self._seed)
 
-        def ahead(state: np.ndarray, step: int) -> np.ndarray:
-            nonlocal key
-            key, key_now = jax.random.split(key)
-            starts = jnp.broadcast_to(jnp.asarray(state, jnp.float32)[:, None], (len(state), num))
-            found = continued(problem, policy, starts, jnp.int32(step), target, key_now)
-            states = np.moveaxis(np.asarray(found.states)[step:], -1, 0)
-            bits = record.hypotheses.violations(states, record.space, problem.between_states)
-            log_weight = np.asarray(found.log_weight[step], float)
-            largest = log_weight.max()
-            is_lost = largest == -np.inf
-            weight = np.ones(num) if is_lost else np.exp(log_weight - largest)
-            avoided = weight @ ~unpack(bits, len(record.hypotheses))
-            share = weight.sum() / num
-            return np.log((avoided + 0.5 * share) / (weight.sum() + share))
 
-        return ahead
+class _RolledOut:
+    """Estimates for one goal; each call rolls out trajectories of its own."""
+
+    def __init__(
+        self, problem: Problem, policy: Policy, goal: np.ndarray, num: int, seed: int
+    ) -> None:
+        self._problem, self._policy, self._goal = problem, policy, goal
+        self._num, self._key = num, jax.random.key(seed)
+
+    def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
+        """Return log P_0(avoid c from here on) [H], nats, for a state [n] at a step."""
+        problem, num = self._problem, self._num
+        record, target = problem.record, jnp.asarray(self._goal, jnp.float32)
+        self._key, key_now = jax.random.split(self._key)
+        starts = jnp.broadcast_to(jnp.asarray(state, jnp.float32)[:, None], (len(state), num))
+        found = continued(problem, self._policy, starts, jnp.int32(step), target, key_now)
+        states = np.moveaxis(np.asarray(found.states)[step:], -1, 0)
+        bits = record.hypotheses.violations(states, record.space, problem.between_states)
+        log_weight = np.asarray(found.log_weight[step], float)
+        largest = log_weight.max()
+        is_lost = largest == -np.inf
+        weight = np.ones(num) if is_lost else np.exp(log_weight - largest)
+        avoided = weight @ ~unpack(bits, len(record.hypotheses))
+        share = weight.sum() / num
+        return np.log((avoided + 0.5 * share) / (weight.sum() + share))
 
 
 def foresee(
@@ -167,6 +178,7 @@ def _with_policies(nominal: Nominal) -> PolicyNominal:
       ValueError: if the nominal distribution has no policies, or hypotheses are about actions,
         which a monitor does not see.
     """
+    check_process()
     if not isinstance(nominal, PolicyNominal):
         names = ", ".join(solver_names(lambda kind: not kind.is_exact))
         raise ValueError(

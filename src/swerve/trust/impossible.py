@@ -44,7 +44,9 @@ FEW = 3  # impossible windows: with a single step that is far off, these are a g
 ALIKE = 0.01  # share of the motion: causes whose misfits differ by less are all named
 STRICT = 1.5  # STRENGTH in the search for another rate, which makes all actions seem too weak
 RATES = (0.5, 2.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1 / 60, 60.0, 1e-6, 1e-9)
-"""Factors that t may have to be multiplied by."""
+"""Factors that t may have to be multiplied by, likely ones first."""
+
+NUM_NEAR = 4  # of RATES: with times far longer, the dynamics would allow anything
 
 UNITS = {
     math.pi / 180: "degrees in place of radians",
@@ -192,7 +194,7 @@ def against_dynamics(demonstration: Demonstration, problem: ProblemRecord, motio
         if found.share > IMPOSSIBLE_SHARE:
             cause = _cause(recording, found)
         else:
-            found, cause = strict, _best(_other_rates(recording, strict, STRICT))
+            found, cause = strict, _slower(recording)
     glitch = _glitch(steps, problem.space, motion)
     if cause or (found is not strict and (glitch is None or found.num_bad > FEW)):
         return _text(found, demonstration, problem, motion, cause)
@@ -254,18 +256,29 @@ def _cause(recording: _Recording, found: Finding) -> str:
     return _best(units | _other_rates(rest, found))
 
 
-def _other_rates(
-    recording: _Recording, found: Finding, strength: float = STRENGTH
-) -> dict[str, float]:
+def _slower(recording: _Recording) -> str:
+    """Return the nearest other unit of time in which no action seems too weak; '' if none helps."""
+    for factor in RATES[:NUM_NEAR] if recording.elapsed is not None else ():
+        other = recording._replace(elapsed=factor * recording.elapsed)
+        if other.worst(other.steps, STRICT).share < EXPLAINED:
+            return f"It fits {_other_rate(factor)}"
+    return ""
+
+
+def _other_rates(recording: _Recording, found: Finding) -> dict[str, float]:
     """Return how far a recording misses the dynamics with other units of time."""
     if recording.elapsed is None:
         return {}
     return {
-        f"with t times {factor:.4g} (another rate, or another unit of t)": _misfit(
-            recording._replace(elapsed=factor * recording.elapsed), found.column, strength
+        _other_rate(factor): _misfit(
+            recording._replace(elapsed=factor * recording.elapsed), found.column
         )
         for factor in RATES
     }
+
+
+def _other_rate(factor: float) -> str:
+    return f"with t times {factor:.4g} (another rate, or another unit of t)"
 
 
 def _best(misfits: dict[str, float]) -> str:
@@ -276,14 +289,14 @@ def _best(misfits: dict[str, float]) -> str:
     return "It fits " + ", or ".join(text for text, x in misfits.items() if x < least + ALIKE)
 
 
-def _misfit(recording: _Recording, column: int, strength: float = STRENGTH) -> float:
+def _misfit(recording: _Recording, column: int) -> float:
     """Return the share of the motion of a component that is left unexplained.
 
     The share is infinite where the recording does not fit the dynamics.
     """
     steps = recording.steps
     is_judged = np.count_nonzero(steps.duration) > LEAST_JUDGED * len(steps.duration)
-    fits = is_judged and recording.worst(steps, strength).share < EXPLAINED
+    fits = is_judged and recording.worst(steps).share < EXPLAINED
     return recording.mismatch(steps, column) if fits else math.inf
 
 

@@ -1,0 +1,63 @@
+"""The motion of a problem is learned with its evidence, and kept with it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from support.reference import PENDULUM_TASK, short_pendulum
+
+import swerve
+from swerve.evidence.evidence import Evidence
+from swerve.sampling.motion import motion_of
+
+
+class Broken(swerve.Pendulum):
+    """Its dynamics are not finite for a part of the states that its bounds allow."""
+
+    def dynamics(self, state, action):
+        return super().dynamics(state, action) + jnp.where(state[0] > 4.0, jnp.nan, 0.0)
+
+
+class Lost(Broken):
+    """Its dynamics are finite for slow states alone."""
+
+    def dynamics(self, state, action):
+        return super().dynamics(state, action) + jnp.where(jnp.abs(state[1]) > 3.0, jnp.nan, 0.0)
+
+
+def test_evidence_of_all_kinds_holds_the_motion(tmp_path: Path) -> None:
+    problem = short_pendulum()
+    for solver in ("enumeration", "grid?num_points=20"):
+        evidence = swerve.sample(swerve.learn(problem, solver), PENDULUM_TASK, 50)
+        motion = evidence.motion
+        assert motion is not None
+        assert motion is motion_of(problem)  # learned once
+        assert motion.reach[1] > 1.0  # torques up to 3
+        assert evidence.select([0]).motion is motion
+        older = dataclasses.replace(evidence, motion=None)
+        assert older.joined(evidence).motion is motion
+        assert evidence.is_exact or evidence.at_beta(0.06).motion is motion
+        evidence.save(tmp_path / "motion.evidence")
+        read = Evidence.load(tmp_path / "motion.evidence").motion
+        assert read is not None
+        for stored, known in zip(read, motion, strict=True):
+            np.testing.assert_array_equal(stored, known)
+
+
+def test_moves_without_a_clock_have_no_motion() -> None:
+    floor = swerve.Problem(swerve.Walker(), swerve.grid(x=(-1.0, 1.0, 2)))
+    assert motion_of(floor) is None
+    assert not floor.record.is_timed
+    world = swerve.Gridworld(width=3, height=3)
+    assert motion_of(swerve.Problem(world, swerve.grid(x=(-0.5, 2.5, 3)))) is None
+
+
+def test_states_for_which_the_dynamics_are_not_finite_are_left_out() -> None:
+    cells = swerve.grid(theta=(0.0, 6.0, 3))
+    known = motion_of(swerve.Problem(Broken(max_torque=3.0), cells))
+    assert known is not None
+    assert np.isfinite(known.forms).all()
+    assert motion_of(swerve.Problem(Lost(max_torque=3.0), cells)) is None
