@@ -57,6 +57,19 @@ class TestPaths:
         (lines,) = [c for c in axes.collections if type(c) is LineCollection]
         assert 90 < len(lines.get_paths()) <= picture.NUM_LINES
 
+    def test_of_many_demonstrations_some_are_drawn_and_the_legend_says_so(self) -> None:
+        """They are spread over all: the first and the last are among them."""
+        num = picture.MAX_DRAWN
+        demonstrations = [crossing() for _ in range(1000)]
+        drawn = picture.evenly(demonstrations, num)
+        assert len({id(item) for item in drawn}) == len(drawn) == num
+        assert (drawn[0], drawn[-1]) == (demonstrations[0], demonstrations[-1])
+        assert picture.evenly(demonstrations[:num], num) == demonstrations[:num]
+        figure = plot_inference(inference_of(CELLS, *demonstrations))
+        assert f"demonstrations ({num} of 1,000 are drawn)" in legend(figure)
+        (starts,) = [x for x in axes_of(figure).lines if x.get_label() == "start"]
+        assert len(np.asarray(starts.get_xydata())) == num
+
     def test_evidence_without_trajectories_can_be_drawn(self) -> None:
         empty = make_samples()._replace(kept=np.zeros((3, 0, 6, 2)))
         evidence = make_evidence(load_samples=lambda: empty)

@@ -9,7 +9,7 @@ Shapes: R rectangles.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,10 +40,12 @@ from swerve.presentation.shading import (
 from swerve.problem.record import ProblemRecord
 
 NUM_LINES = 100  # nominal trajectories drawn, all tasks together
+MAX_DRAWN = 200  # demonstrations drawn: with more, lines hide one another and drawing takes long
 LABEL_RASTER = 40  # points a side of the raster on which a label is kept off hypotheses
 NARROW = 6.0  # in: in a picture less wide than this, the colour bar goes below the axes
 TIE_WEIGHT = 20  # hiding a tied hypothesis is as bad for a label as hiding so many points
 
+Item = TypeVar("Item")
 KNOWN, DEMONSTRATION, NOMINAL = "#3c3c3c", "#0072b2", "#555555"
 
 
@@ -64,7 +66,8 @@ def picture(
       also: paths that are not drawn, but must fit into the range of the axes.
     """
     is_wide = width >= NARROW
-    demonstrations = [planes.Path(d.states, d.times) for d in inference.demonstrations]
+    drawn = evenly(inference.demonstrations, MAX_DRAWN)
+    demonstrations = [planes.Path(d.states, d.times) for d in drawn]
     nominal = planes.nominal_paths(inference, NUM_LINES)
     problem = inference.evidence.problem
     plane = planes.plane_of(problem, [*demonstrations, *nominal, *also])
@@ -75,7 +78,7 @@ def picture(
     notes += draw_outlined(axes, problem.hypotheses, shading, plane)
     _draw_known(axes, problem, plane)
     _draw_nominal(axes, nominal, plane)
-    _draw_demonstrations(axes, demonstrations, plane)
+    _draw_demonstrations(axes, demonstrations, len(inference.demonstrations), plane)
     _annotate(axes, inference, shading, demonstrations, plane)
     _finish(axes, plane, phrases.wrapped(" ".join(notes), width - 1.5, 7.5))
     if len(inference.ranking):
@@ -144,14 +147,22 @@ def _draw_nominal(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:
         axes.add_collection(lines, autolim=False)
 
 
-def _draw_demonstrations(axes: Axes, paths: list[planes.Path], plane: Plane) -> None:
+def evenly(items: Sequence[Item], most: int) -> Sequence[Item]:
+    """Return at most `most` items, spread evenly from the first to the last."""
+    if len(items) <= most:
+        return items
+    return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int).tolist()]
+
+
+def _draw_demonstrations(axes: Axes, paths: list[planes.Path], num_all: int, plane: Plane) -> None:
     """Draw demonstrations as lines, thinner the more there are, and mark their starts and ends."""
     if not paths:
         return
     weight = 1.7 if len(paths) <= 10 else 1.0 if len(paths) <= 100 else 0.5
     halo = [Stroke(linewidth=weight + 1.6, foreground="white"), Normal()]
+    count = f"{num_all}" if num_all == len(paths) else f"{len(paths)} of {num_all:,} are drawn"
     for k, path in enumerate(paths):
-        label = None if k else f"demonstrations ({len(paths)})"
+        label = None if k else f"demonstrations ({count})"
         x, y = plane.pieces(path).T
         axes.plot(x, y, color=DEMONSTRATION, lw=weight, path_effects=halo, label=label)
     ends = plane.wrapped(np.array([plane.line(path)[[0, -1]] for path in paths]))
