@@ -38,6 +38,7 @@ from swerve.solvers.base import AdaptingSolver, Nominal
 # trajectories for a task and a hypothesis: the second number if the first leaves too large an error
 NUM_TRAJECTORIES = 2_000, 10_000
 LEAST_SHARE = 0.05  # share of these that must be effective: with fewer, Z_c is estimated too low
+MOST_MISSED = 0.05  # share of pi_c that these may miss: with more, Z_c is estimated too low
 UNLIKELY = 1e-3  # a ratio is refuted if as few, or as many, samples avoid c with less probability
 
 
@@ -162,6 +163,8 @@ def _settled(nominal: Nominal, task: Task, seed: int) -> Evidence | None:
         except NothingLeftError:
             return None
         if evidence.effective_sample_size[0] < LEAST_SHARE * evidence.num_trajectories:
+            return None
+        if evidence.missed_share[0] > MOST_MISSED:
             return None
         if evidence.log_partition_error[0] < SETTLED / math.sqrt(2.0):
             return evidence

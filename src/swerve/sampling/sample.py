@@ -31,6 +31,7 @@ from swerve.evidence.samples import EXACT, METHODS, RESAMPLED, TEMPERED, Samples
 from swerve.hypotheses.bits import num_bytes
 from swerve.problem.record import ProblemRecord
 from swerve.problem.tasks import checked_tasks
+from swerve.sampling.missed import share_missed
 from swerve.sampling.motion import motion_of
 from swerve.sampling.one_task import SamplingJob, sample_task, whole_islands
 from swerve.simulation.policies import ValuedPolicy
@@ -199,7 +200,8 @@ def _sample_each(
 
 def _sampled(job: SamplingJob, samples: Samples, nominal: PolicyNominal) -> Evidence:
     """Return the evidence of one task from its samples."""
-    task = job.task
+    task, summary = job.task, summarise(job.record, samples, job.method)
+    missed = share_missed(job, float(summary.log_partition[0]))
     return Evidence(
         problem=job.record,
         tasks=Task(task.start[None], task.goal[None]),
@@ -207,8 +209,9 @@ def _sampled(job: SamplingJob, samples: Samples, nominal: PolicyNominal) -> Evid
         num_trajectories=job.num_trajectories,
         solver=repr(nominal.solver),
         seed=job.seed,
-        summary=summarise(job.record, samples, job.method),
+        summary=summary,
         load_samples=lambda: samples,
+        missed_share=np.array([missed]),
         motion=motion_of(job.problem),
     )
 

@@ -1,17 +1,18 @@
 """Judge how far the samples of each task can be trusted: warnings, and a verdict for each task.
 
 Samples are "not to be trusted" where the effective sample size is below max(100, 2 % of N) (see
-`estimators.least_effective`), or where independent parts of the samples differ in log Z_0 by more
-than HIGH_SPREAD. "Errors may be larger than stated" where the policy is far from pi_0, or where the
-solver's own log Z_0 differs from that of its samples. Otherwise the order of the first hypotheses
-may rest on sampling error. If the error allowed for a difference of scores is shared evenly among
-the K tasks in use, task k needs
+`estimators.least_effective`), where independent parts of the samples differ in log Z_0 by more than
+HIGH_SPREAD, or where the samples miss more than HIGH_MISSED of pi_0 (see `sampling.missed`).
+"Errors may be larger than stated" where the samples miss less, where the policy is far from pi_0,
+or where the solver's own log Z_0 differs from that of its samples. Otherwise the order of the first
+hypotheses may rest on sampling error. If the error allowed for a difference of scores is shared
+evenly among the K tasks in use, task k needs
 
     N_k = N K (n_k e_k / gap)^2
 
 trajectories, where n_k e_k is twice the sum of the amounts that the task's n_k demonstrations add
 to the standard errors of the two scores. No check can detect a mode of pi_0 that no trajectory
-took: the weights of the other trajectories then look perfect.
+took, sampled or exploring: the weights of the other trajectories then look perfect.
 
 Shapes: K tasks.
 """
@@ -37,6 +38,7 @@ HIGH_KL = {  # nats, by method: above this KL between policy and pi_0, errors ma
     "plain": 0.1,
 }
 HIGH_SPREAD = 1.0  # nats, standard deviation of log Z_0 over islands: above, the islands disagree
+HIGH_MISSED = 0.1  # share of pi_0 that the samples miss: above, no estimate is to be trusted
 NUM_ERRORS = 3.0  # standard errors by which the solver's log Z_0 and the samples' may differ
 GOOD_ESS_SHARE = 0.3  # share of N: above this ESS, the policy is good but samples are too few
 NUM_SETTLED = 3  # hypotheses at the head of the ranking whose order has to be settled
@@ -49,6 +51,7 @@ def warnings(inference: Ranking) -> Iterator[str]:
     """Yield warnings about the samples, each kind once."""
     yield from _too_few(inference)
     yield from _apart(inference)
+    yield from _missing(inference)
     yield from _too_hot(inference)
     yield from _far_policy(inference)
     yield from _closed_in(inference)
@@ -66,6 +69,9 @@ def verdict(inference: Ranking, task: int) -> str:
         return f"not to be trusted: effective sample size {left}{other}"
     if _is_apart(inference)[task]:
         return f"not to be trusted: parts of its samples differ {_apart_by(evidence, task)}"
+    if _misses(inference)[task]:
+        share = evidence.missed_share[task]
+        return f"{_missing_text(share)}: about {100 * share:.2g} % of pi_0 was not sampled"
     if is_too_hot(evidence):
         return f"errors may be larger than stated: {_at_its_beta(evidence)}"
     if _is_far(inference)[task]:
@@ -110,8 +116,10 @@ def _samples_needed(inference: Ranking, task: int) -> np.ndarray:
     need no order.
     """
     first = inference.ranking[: NUM_SETTLED + 1]
-    evidence, num_tasks = inference.evidence, np.count_nonzero(inference.task_counts)
-    score, error = inference.score[first], inference.task_error[task, first]
+    evidence, sample_of = inference.evidence, inference.evidence.sample_of
+    num_tasks = len(np.unique(sample_of[inference.task_counts > 0]))  # equal tasks count once
+    error = inference.task_error[sample_of == sample_of[task]][:, first].sum(axis=0)
+    score = inference.score[first]
     gap = np.maximum(score[:-1] - score[1:], 1e-12)
     share = num_tasks * (TIE_ERRORS * (error[1:] + error[:-1]) / gap) ** 2
     needs_none = score[:-1] <= TIE_ERRORS * inference.score_error[first[:-1]]
@@ -134,7 +142,8 @@ def is_untrusted(inference: Ranking) -> bool:
     """Return whether the samples of a task in use are not to be trusted at all."""
     if inference.evidence.is_exact:
         return False
-    return bool((_has_too_few(inference) | _is_apart(inference)).any())
+    is_far_off = _misses(inference) & (inference.evidence.missed_share > HIGH_MISSED)
+    return bool((_has_too_few(inference) | _is_apart(inference) | is_far_off).any())
 
 
 def is_too_hot(evidence: Evidence) -> bool:
@@ -155,6 +164,16 @@ def _is_apart(inference: Ranking) -> np.ndarray:
     """Return [K] True where independent parts of the samples disagree on log Z_0."""
     used = (inference.task_counts > 0) & ~_has_too_few(inference)
     return used & (inference.evidence.island_spread > HIGH_SPREAD)
+
+
+def _misses(inference: Ranking) -> np.ndarray:
+    """Return [K] True where exploring found a part of pi_0 that the samples miss."""
+    used = (inference.task_counts > 0) & ~_has_too_few(inference)
+    return used & inference.evidence.is_missing
+
+
+def _missing_text(share: float) -> str:
+    return "not to be trusted" if share > HIGH_MISSED else "errors may be larger than stated"
 
 
 def _is_far(inference: Ranking) -> np.ndarray:
@@ -222,6 +241,20 @@ def _apart_by(evidence: Evidence, task: int) -> str:
     if math.isinf(spread):
         return "in log Z_0: in one of them every trajectory enters a known constraint"
     return f"by {spread:.1f} nats in log Z_0"
+
+
+def _missing(inference: Ranking) -> Iterator[str]:
+    """Yield a warning where trajectories that explore found what no sampled trajectory does."""
+    evidence, missing = inference.evidence, _misses(inference)
+    if missing.any():
+        worst = int(np.where(missing, evidence.missed_share, 0.0).argmax())
+        share = evidence.missed_share[worst]
+        yield (
+            f"{_missing_text(share)}: for {missing.sum()} of "
+            f"{np.count_nonzero(inference.task_counts)} tasks a part of pi_0 was not sampled, but "
+            f"found by trajectories that deviate from the policy (worst: "
+            f"{inference.task_name(worst)}, about {100 * share:.2g} %). {_remedy(evidence)}"
+        )
 
 
 def _too_hot(inference: Ranking) -> Iterator[str]:
@@ -309,7 +342,7 @@ def _remedy(evidence: Evidence, share: float = 0.0) -> str:
     if kind.computes_value:
         text = f"The grid is too coarse for this problem: give it more {kind.finer}"
         other = ", or take method 'importance', which needs no soft value on the way"
-        return text + other * (evidence.method == "smc")
+        return text + other * (evidence.method == "smc" and not evidence.is_missing.any())
     return (
         "The policy is far from pi_0 here: train it longer (num_steps), or use the grid solver "
         "where the state has at most 3 dimensions. The policy was not trained for tasks unlike "
