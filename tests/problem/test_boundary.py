@@ -99,7 +99,7 @@ class OfParent(Jitted):
 
 class Static(Bare):
     @staticmethod
-    def terminal_reward(state: Any, goal: Any) -> Any:
+    def terminal_reward(state: Any, goal: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         return 3
 
 

@@ -86,7 +86,7 @@ def sampled() -> dict[str, np.ndarray]:
 
 def solved() -> dict[str, np.ndarray]:
     """Return log Z_0 and the violation probabilities by every other solver."""
-    world = swerve.Gridworld(3, 3, 4)
+    world = swerve.Gridworld(3, 3, 12)
     cells = swerve.Problem(world, world.hypotheses(), beta=3.0, measure="counting")
     corner = swerve.Task([0, 0], [2, 2])
     cases = {

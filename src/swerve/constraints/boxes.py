@@ -42,7 +42,7 @@ class Box(Constraint):
       ValueError: if there is no interval, or an interval is empty or not a pair of numbers.
     """
 
-    def __init__(self, **intervals: tuple[float, float]) -> None:
+    def __init__(self, /, **intervals: tuple[float, float]) -> None:
         self.intervals = _checked_intervals("Box", intervals)
 
     def __repr__(self) -> str:
@@ -85,16 +85,18 @@ class Box(Constraint):
         overlap. For angles, the copies of the box one turn away are tried too.
         """
         xp = starts.__array_namespace__()
-        hit = self.contains(starts, space) | self.contains(ends, space)
         steps = space.difference(*(wide(single(states)) for states in (starts, ends)))
-        slabs = [
-            interval.parts(coordinate(starts, space, name), steps[..., space.column(name)])
-            for name, interval in self._judged(space)
-        ]
+        starts_inside, ends_inside, slabs = True, True, []
+        for name, interval in self._judged(space):
+            start, end = coordinate(starts, space, name), coordinate(ends, space, name)
+            starts_inside = starts_inside & interval.holds(start)
+            ends_inside = ends_inside & interval.holds(end)
+            slabs.append(interval.parts(start, steps[..., space.column(name)]))
+        hit = starts_inside | ends_inside
         for combination in itertools.product(*slabs):
-            enter = xp.stack([enter for enter, _ in combination]).max(axis=0)
-            leave = xp.stack([leave for _, leave in combination]).min(axis=0)
-            hit = hit | (xp.minimum(leave, 1.0) > xp.maximum(enter, 0.0))
+            enter = functools.reduce(xp.maximum, [enter for enter, _ in combination], 0.0)
+            leave = functools.reduce(xp.minimum, [leave for _, leave in combination], 1.0)
+            hit = hit | (leave > enter)
         return hit
 
     def _judged(self, space: StateSpace) -> list[tuple[str, Interval]]:
@@ -160,7 +162,7 @@ class ActionBox(Constraint):
 
     about_actions = True
 
-    def __init__(self, **intervals: tuple[float, float]) -> None:
+    def __init__(self, /, **intervals: tuple[float, float]) -> None:
         self.intervals = _checked_intervals("ActionBox", intervals)
 
     def __repr__(self) -> str:

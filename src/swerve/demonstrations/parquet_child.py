@@ -17,6 +17,7 @@ import contextlib
 import io
 import json
 import resource
+import signal
 import sys
 from typing import Any
 
@@ -27,6 +28,7 @@ TIMES = 32  # bytes of address space for each byte of the file: compressed numbe
 
 def main() -> None:
     """Answer requests until the input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
     import polars as pl
 
     source, sink = sys.stdin.buffer, sys.stdout.buffer

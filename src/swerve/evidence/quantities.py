@@ -11,10 +11,12 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
+from swerve.base.arguments import fields_of
 from swerve.base.space import Task
 from swerve.evidence import estimators
 from swerve.evidence.motion import Motion
@@ -49,6 +51,9 @@ class Quantities:
             object.__setattr__(self, "sampling_beta", self.problem.beta)
         if self.missed_share is None:
             object.__setattr__(self, "missed_share", np.full(self.num_tasks, np.nan))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_of(self) | {"load_samples": partial(_given, self.samples)}
 
     @cached_property
     def samples(self) -> Samples:
@@ -218,7 +223,7 @@ class Quantities:
     @property
     def log_partition_error(self) -> np.ndarray:
         """[K] standard error of `log_partition` by the spread over islands, nats."""
-        return self.island_spread / math.sqrt(self.island_log_partition.shape[1])
+        return self.island_spread / math.sqrt(self.island_log_partition.shape[1] - 1)
 
     @cached_property
     def log_weight(self) -> np.ndarray:
@@ -258,3 +263,8 @@ class Quantities:
     @property
     def _has_equal_weights(self) -> bool:
         return self.method == "plain" and not self.is_of_other_beta
+
+
+def _given(samples: Samples) -> Samples:
+    """Return the trajectories that evidence was pickled with."""
+    return samples

@@ -23,13 +23,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swerve.base.arguments import instance
+from swerve.base.arguments import instance, number_or_nan
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.estimators import HOTTEST, least_effective
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import islands
 from swerve.fitting.rewards import total_rewards
 from swerve.inference.ranking import Ranking
+from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 
 ROUNDING = 1e-5  # relative difference up to which total rewards, sums in float32, are the same
@@ -101,6 +102,12 @@ class BetaFit:
         return finite | {"at_boundary": self.at_boundary}
 
 
+def check_confidence(value: Any) -> None:
+    """Raise ValueError if a confidence is not a number between 0 and 1."""
+    if not 0.0 < number_or_nan(value) < 1.0:
+        raise ValueError(f"confidence: expected a number between 0 and 1, got {value!r}")
+
+
 def fit_beta(
     problem: Problem,
     evidence: Evidence,
@@ -123,12 +130,12 @@ def fit_beta(
         problem, a demonstration has no evidence for its task or lacks actions, or the maximum lies
         where too few samples count: the message says at which beta to sample.
     """
+    check_process()
     instance(problem, Problem, "problem", "give the model, not its record")
     instance(evidence, Evidence, "evidence", "make some with swerve.sample or swerve.Evidence.load")
     if isinstance(demonstrations, Demonstration) or not len(demonstrations):
         raise ValueError("demonstrations: expected a list of at least one")
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence: expected a number between 0 and 1, got {confidence}")
+    check_confidence(confidence)
     judged = Ranking.of(_of_problem(evidence, problem), demonstrations)
     rewards = total_rewards(problem, demonstrations)
     likelihood = Likelihood.of(evidence, judged.task_of, rewards)

@@ -130,11 +130,12 @@ class WindowHypotheses(BoxHypotheses):
         return {"kind": "windows", "axes": axes, "overlap": self.overlap}
 
 
-def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypotheses:
+def windows(overlap: int = 4, /, **axes: Any) -> WindowHypotheses:
     """Make hypotheses of overlapping windows of one size, slid along every axis.
 
     Args:
-      overlap: k, the number of strides in the width of a window: a stride is width / k.
+      overlap: k, the number of strides in the width of a window: a stride is width / k. It may be
+        given by name: a single number is never the axis of a state, whatever the state's name.
       **axes: for each state (low, high, width), in that state's unit. Windows lie within [low,
         high], the first at low; a rest shorter than a stride at the high end is in no window. Where
         strides fill the full turn of an angle, windows continue across the ends.
@@ -145,6 +146,9 @@ def windows(overlap: int = 4, **axes: tuple[float, float, float]) -> WindowHypot
     Raises:
       ValueError: if there is no axis, low >= high, or a width is not above 0 and within the range.
     """
+    given = axes.get("overlap", ())
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
+        overlap = axes.pop("overlap")
     return WindowHypotheses(axes, overlap)
 
 

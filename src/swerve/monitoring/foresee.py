@@ -23,7 +23,7 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from swerve.base.arguments import instance, whole_number
+from swerve.base.arguments import instance, seed_number, whole_number
 from swerve.base.progress import Advance, progress_bar
 from swerve.base.solver_kinds import solver_names
 from swerve.evidence.evidence import Evidence
@@ -66,7 +66,7 @@ class Rollouts:
     def __init__(self, nominal: Nominal, num_trajectories: int = 1000, *, seed: int = 0) -> None:
         self._nominal = _with_policies(nominal)
         self._num = whole_number(num_trajectories, "num_trajectories", 1)
-        self._seed = whole_number(seed, "seed", 0)
+        self._seed = seed_number(seed)
         self.fingerprint = nominal.problem.record.fingerprint
 
     def towards(self, goal: np.ndarray) -> Ahead:
@@ -131,7 +131,7 @@ def foresee(
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 1)
     if num_updates is not None:
         num_updates = whole_number(num_updates, "num_updates", 1)
-    seed = whole_number(seed, "seed", 0)
+    seed = seed_number(seed)
     nominal = _with_policies(nominal)
     record = nominal.problem.record
     _check_evidence(evidence, record)

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from swerve.base.space import Task
 
@@ -47,7 +48,7 @@ def _wrapped(method: Any, name: str) -> Callable[..., Any]:
         bound = method.__get__(self, type(self)) if hasattr(method, "__get__") else method
         return cast(bound(*arguments, **named), f"{type(self).__name__}.{name}")
 
-    wrapper._casts = True  # pyright: ignore[reportFunctionMemberAccess]
+    vars(wrapper)["_casts"] = True
     return wrapper
 
 
@@ -74,7 +75,7 @@ def actions_of(mdp: Any) -> jax.Array:
 def _flag(value: Any, origin: str) -> jax.Array:
     """Return booleans, or numbers 0 and 1, as an array of booleans."""
     array = _real(value, origin)
-    if not isinstance(array, jax.core.Tracer) and not np.isin(array, (0, 1)).all():
+    if not isinstance(array, Tracer) and not np.isin(array, (0, 1)).all():
         raise BoundaryError(f"{origin}: expected True or False, got {value} of {array.dtype}")
     return array.astype(bool)
 

@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from swerve.base.arguments import whole_number
 from swerve.base.space import StateSpace, Task
 from swerve.problem.boundary import BoundaryError, actions_of, cast_methods
+from swerve.problem.forked import check_process
 
 
 class _StateNames:
@@ -177,6 +178,7 @@ def check_mdp(mdp: MDP) -> None:
     Raises:
       ValueError: naming the attribute or method, the expected value and the actual value.
     """
+    check_process()
     name = type(mdp).__name__
     for label in ("state_names", "action_names", "angles", "goal_names"):
         if isinstance(getattr(mdp, label), str):

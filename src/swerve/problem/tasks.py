@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from swerve.base.arguments import instance
+from swerve.base.arguments import instance, seed_number
 from swerve.base.space import Task
 from swerve.constraints.base import Constraint
 from swerve.demonstrations.checks import check_bounds
+from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 
 NUM_CANDIDATES = 20  # tasks sampled per task asked for: some start in a constraint
@@ -51,8 +52,9 @@ def draw_tasks(
     Raises:
       ValueError: if the MDP samples too few such tasks.
     """
+    check_process()
     mdp, forbidden = problem.mdp, (*problem.known, *avoid)
-    keys = jax.random.split(jax.random.key(seed), NUM_CANDIDATES * (num_tasks + 5))
+    keys = jax.random.split(jax.random.key(seed_number(seed)), NUM_CANDIDATES * (num_tasks + 5))
     candidates = jax.vmap(mdp.sample_task)(keys)
     allowed = np.array(jax.vmap(lambda start, goal: can_begin(problem, start, goal))(*candidates))
     start, goal = np.asarray(candidates.start, np.float64), np.asarray(candidates.goal, np.float64)
@@ -112,6 +114,7 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
       ValueError: if shapes are wrong, numbers are not finite, a start or goal lies outside the
         bounds, or no trajectory can begin at a start.
     """
+    check_process()
     mdp = problem.mdp
     if not isinstance(tasks, Iterable):
         raise ValueError(f"tasks: expected swerve.Task(start, goal), got {tasks!r}")

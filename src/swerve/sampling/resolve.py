@@ -22,7 +22,7 @@ from time import monotonic
 
 import numpy as np
 
-from swerve.base.arguments import number_or_nan
+from swerve.base.arguments import number_or_nan, seed_number
 from swerve.base.progress import progress_bar
 from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
@@ -90,7 +90,7 @@ def resolve(
         )
     if not number_or_nan(seconds) > 0.0:
         raise ValueError(f"seconds: expected a number of seconds > 0, got {seconds!r}")
-    deadline = monotonic() + seconds
+    seed, deadline = seed_number(seed), monotonic() + seconds
     hypotheses = worth_resolving(inference).tolist()
     with progress_bar("resolving", len(hypotheses), progress) as advance:
         for index in hypotheses:

@@ -14,6 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
+from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 
 MOST = 64  # compiled functions that a problem keeps: policies without a common form may be many
@@ -31,6 +32,7 @@ def of_problem(function: Callable[Arguments, Result]) -> Callable[Arguments, Res
 
     @wraps(function)
     def call(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        check_process()
         first: Any = arguments[0]
         kept = (first if isinstance(first, Problem) else first.problem).compiled
         leaves, form = jax.tree.flatten((arguments, named))

@@ -16,8 +16,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkabl
 
 import numpy as np
 
+from swerve.base.interrupts import heeded
 from swerve.base.solver_kinds import SolverKind, kind_named
 from swerve.base.space import Task
+from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import Policy
 
@@ -118,8 +120,10 @@ class Solver(abc.ABC, Generic[N]):
             MDP returned a number that is not finite, training diverged from the beginning, or
             hardly any episode that the MDP samples can begin.
         """
+        check_process()
         self.check(problem)
-        return self._learn(problem, LearnOptions(tasks, seed, progress, checkpoint))
+        with heeded():
+            return self._learn(problem, LearnOptions(tasks, seed, progress, checkpoint))
 
     @abc.abstractmethod
     def _learn(self, problem: Problem, options: LearnOptions) -> N:

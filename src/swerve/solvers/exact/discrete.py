@@ -15,12 +15,14 @@ import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.base.arguments import whole_number
+from swerve.base.arguments import fields_of, whole_number
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
@@ -75,26 +77,10 @@ class Discrete(Solver[TableNominal]):
     def _learn(self, problem: Problem, options: LearnOptions) -> TableNominal:
         cells = Cells(problem.mdp.space, self._shape(problem), self._limits(problem))
         hold = self._hold(problem)
-        held = _held(problem, hold)
-        successors = _successors(cells, held, problem, self.rule)
-        centres = jnp.asarray(cells.centres, jnp.float32)
-
-        mdp = problem.mdp
-        ends = jax.jit(jax.vmap(mdp.terminated, (0, None)))
-        anywhere = np.asarray(ends(centres, jnp.zeros(len(mdp.goal_names), jnp.float32)))
-
-        def rewards(goal: np.ndarray) -> np.ndarray:
-            target = jnp.asarray(goal, jnp.float32)
-            if hold > 1 and (np.asarray(ends(centres, target)) != anywhere).any():
-                raise ValueError(
-                    f"Discrete: where episodes of {type(mdp).__name__} end depends on the goal, so "
-                    f"an action cannot be held for {hold} steps: set hold=1"
-                )
-            return np.asarray(held(centres, target)[1], float)
-
-        table = States(
-            cells.centres, successors, self._num_steps(problem), cells.number, hold * mdp.dt
-        )
+        rewards = HeldRewards(problem, cells.centres, hold)
+        successors = _successors(cells, rewards.held, problem, self.rule)
+        step = hold * problem.mdp.dt
+        table = States(cells.centres, successors, self._num_steps(problem), cells.number, step)
         return TableNominal(problem, self, table, rewards)
 
     def check(self, problem: Problem) -> None:
@@ -206,6 +192,52 @@ def _held(problem: Problem, hold: int) -> Held:
     over_actions = jax.vmap(hold_action, (None, 0, None))
     over_states = jax.vmap(over_actions, (0, None, None))
     return jax.jit(lambda states, goal: over_states(states, actions_of(mdp), goal))
+
+
+@dataclass(frozen=True, eq=False)
+class HeldRewards:
+    """The rewards of actions that are held for some steps, as a function of the goal.
+
+    Attributes:
+      problem: problem that was learned.
+      centres: [S, n] centres of the cells.
+      hold: steps for which an action is held.
+    """
+
+    problem: Problem
+    centres: np.ndarray
+    hold: int
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_of(self)
+
+    def __call__(self, goal: np.ndarray) -> np.ndarray:
+        """Return the total rewards [S, A] for a goal [g].
+
+        Raises:
+          ValueError: if actions are held, and where episodes end depends on the goal.
+        """
+        target, mdp = jnp.asarray(goal, jnp.float32), self.problem.mdp
+        if self.hold > 1 and (self._ends(target) != self._ends_anywhere).any():
+            raise ValueError(
+                f"Discrete: where episodes of {type(mdp).__name__} end depends on the goal, so an "
+                f"action cannot be held for {self.hold} steps: set hold=1"
+            )
+        return np.asarray(self.held(jnp.asarray(self.centres, jnp.float32), target)[1], float)
+
+    @cached_property
+    def held(self) -> Held:
+        """Function that holds every action in every state."""
+        return _held(self.problem, self.hold)
+
+    @cached_property
+    def _ends_anywhere(self) -> np.ndarray:
+        return self._ends(jnp.zeros(len(self.problem.mdp.goal_names), jnp.float32))
+
+    def _ends(self, goal: jax.Array) -> np.ndarray:
+        """Return [S] where episodes with a goal [g] end."""
+        states = jnp.asarray(self.centres, jnp.float32)
+        return np.asarray(jax.vmap(self.problem.mdp.terminated, (0, None))(states, goal))
 
 
 def _successors(cells: Cells, held: Held, problem: Problem, rule: str) -> np.ndarray:

@@ -16,9 +16,11 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from swerve.base.arguments import fields_of
 from swerve.base.space import Task
 from swerve.evidence.exact import ExactAnswer, KeptTrajectories
 from swerve.evidence.samples import NUM_KEPT
@@ -79,6 +81,9 @@ class PathNominal:
     solver: SoftPaths
     table: TableNominal
     _found: dict[tuple[int, ...], Walks] = dataclasses.field(default_factory=dict, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_of(self) | {"_found": {}}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return no arrays: everything is computed from the problem."""

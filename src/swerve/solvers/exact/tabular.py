@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from swerve.base.arguments import fields_of
 from swerve.base.space import Actions, Task
 from swerve.constraints.base import violates
 from swerve.demonstrations.demonstration import Demonstration
@@ -48,7 +49,7 @@ class Tabular(Solver["TableNominal"]):
             problem,
             self,
             States(mdp.states, mdp.successors, mdp.num_steps, mdp.state_index, mdp.dt),
-            lambda goal: mdp.rewards,
+            partial(_same_rewards, mdp),
         )
 
     def check(self, problem: Problem) -> None:
@@ -61,6 +62,11 @@ class Tabular(Solver["TableNominal"]):
                 "table of the MDP, or another solver"
             )
         check_size(mdp.num_states, mdp.num_actions, mdp.num_steps, len(problem.hypotheses))
+
+
+def _same_rewards(mdp: TabularMDP, goal: np.ndarray) -> np.ndarray:
+    """Return the rewards [S, A] of a tabular MDP, whatever the goal."""
+    return mdp.rewards
 
 
 def check_size(num_states: int, num_actions: int, num_steps: int, num_hypotheses: int) -> None:
@@ -110,6 +116,9 @@ class TableNominal:
     solver: Any
     table: States
     rewards: Callable[[np.ndarray], np.ndarray]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return fields_of(self)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return no arrays: everything is computed from the problem."""
