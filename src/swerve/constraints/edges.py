@@ -75,12 +75,12 @@ class Interval:
         xp = start.__array_namespace__()
         if self.is_everything:
             return [(xp.full(start.shape, -math.inf), xp.full(start.shape, math.inf))]
-        middle = self._image(start) if self._is_angle else xp.zeros(start.shape, int)
-        lows, highs = xp.asarray(self._lows), xp.asarray(self._highs)
-        images = [middle + shift for shift in ((-1, 0, 1) if self._is_angle else (0,))]
+        if not self._is_angle:
+            return [part(start, step, self._lows[0], self._highs[0], self._resolution)]
+        lows, highs, middle = xp.asarray(self._lows), xp.asarray(self._highs), self._image(start)
         return [
             part(start, step, wide(lows[image]), wide(highs[image]), self._resolution)
-            for image in images
+            for image in (middle - 1, middle, middle + 1)
         ]
 
     def _image(self, values: Any) -> Any:
@@ -107,10 +107,10 @@ def part(start: Any, step: Any, low: Any, high: Any, resolution: float) -> tuple
     """
     xp = step.__array_namespace__()
     still, start = xp.abs(step) <= resolution, wide(start)
-    divisor = xp.where(still, 1.0, step)
-    to_low, to_high = (low + 2.0 * resolution - start) / divisor, (high - start) / divisor
+    share = 1.0 / xp.where(still, 1.0, step)
+    deep = xp.minimum(wide(low + 2.0 * resolution), high)  # in a thin interval, nothing is deep
+    to_low, to_high = (deep - start) * share, (high - start) * share
     outside = xp.where((low <= start) & (start < high), -math.inf, math.inf)
     enter = xp.where(still, outside, xp.minimum(to_low, to_high))
     leave = xp.where(still, -outside, xp.maximum(to_low, to_high))
-    empty = high - low <= 2.0 * resolution  # an interval without a deep part
-    return xp.where(empty & ~still, math.inf, enter), leave
+    return enter, leave

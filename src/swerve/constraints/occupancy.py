@@ -15,7 +15,7 @@ import base64
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from swerve.base.arguments import numbers, positive_number, two_names
 from swerve.base.space import StateSpace, single, wide
 from swerve.constraints.base import Constraint
 from swerve.constraints.edges import part, threshold
+from swerve.constraints.polygon_geometry import where_near
 
 MOST_BYTES = 2**25  # of a stored map, a bit a cell: 16,384 x 16,384 cells
 
@@ -115,39 +116,44 @@ class Occupancy(Constraint):
 
         The segment is followed from its start over each line that it crosses.
         """
-        xp = starts.__array_namespace__()
         axes = self._axes(space)
-        values = [axis.values(starts) for axis in axes]
-        steps = [axis.values(ends) - value for axis, value in zip(axes, values, strict=True)]
+        places = [[axis.values(states) for axis in axes] for states in (starts, ends)]
+        first, last = ([axis.index(x) for axis, x in zip(axes, p, strict=True)] for p in places)
+        hit = self._is_blocked(first) | self._is_blocked(last)
+        has_between = abs(last[0] - first[0]) + abs(last[1] - first[1]) >= 2
+        passes = partial(self._passes, axes)
+        return hit | where_near(passes, has_between & ~hit, (*places[0], *places[1]), 1)
+
+    def _passes(self, axes: Sequence[MapAxis], x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
+        """Return [...] True where a segment enters a blocked cell between its ends."""
+        xp = x.__array_namespace__()
+        values, steps = (x, y), (end_x - x, end_y - y)
         index = [axis.index(value) for axis, value in zip(axes, values, strict=True)]
         last = [
-            xp.where(axis.is_still(step), first, axis.index(axis.values(ends)))
-            for axis, first, step in zip(axes, index, steps, strict=True)
+            xp.where(axis.is_still(step), first, axis.index(end))
+            for axis, step, first, end in zip(axes, steps, index, (end_x, end_y), strict=True)
         ]
-        hit = self.contains(starts, space) | self.contains(ends, space)
 
         def follow(_: Any, carry: Any) -> Any:
             """Cross the next line of every segment, and judge the cell behind the line."""
             hit, index = carry
-            next_line = [
+            to_x, to_y = (
                 axis.share_to_line(*along)
                 for axis, *along in zip(axes, values, steps, index, last, strict=True)
-            ]
-            first = next_line[0] <= next_line[1]
-            moves = [first, ~first]
+            )
             index = [
-                k + xp.where(move, xp.sign(end - k), 0)
-                for k, move, end in zip(index, moves, last, strict=True)
+                k + xp.where(is_next, xp.sign(end - k), 0)
+                for k, is_next, end in zip(index, (to_x <= to_y, to_x > to_y), last, strict=True)
             ]
-            parts = [
+            (enter_x, leave_x), (enter_y, leave_y) = (
                 axis.part(*along) for axis, *along in zip(axes, values, steps, index, strict=True)
-            ]
-            enter = xp.maximum(xp.maximum(parts[0][0], parts[1][0]), 0.0)
-            leave = xp.minimum(xp.minimum(parts[0][1], parts[1][1]), 1.0)
+            )
+            enter = xp.maximum(xp.maximum(enter_x, enter_y), 0.0)
+            leave = xp.minimum(xp.minimum(leave_x, leave_y), 1.0)
             return hit | (self._is_blocked(index) & (leave > enter)), index
 
         lines = xp.abs(last[0] - index[0]) + xp.abs(last[1] - index[1])
-        return _repeat(follow, (hit, index), lines.max(initial=0))
+        return _repeat(follow, (xp.zeros(x.shape, bool), index), lines.max(initial=0))
 
     def _axes(self, space: StateSpace) -> list[MapAxis]:
         """Return the axes of x and y."""

@@ -171,9 +171,12 @@ class Polygon(Constraint):
         share = xp.concatenate(bounds)
         middle = 0.5 * (share[1:] + share[:-1])
         is_piece = share[1:] > share[:-1]
-        return (is_piece & self._holds(deep, x + middle * dx, y + middle * dy)).any(axis=0)
+        points = x + middle * dx, y + middle * dy
+        holds = partial(self._holds, deep)
+        return polygon_geometry.where_near(holds, is_piece, points, len(self.vertices)).any(axis=0)
 
     def _holds(self, deep: float, x: Any, y: Any) -> Any:
         """Return [...] True where points lie inside, farther than a distance from every edge."""
         inside = polygon_geometry.encloses(self.vertices, x, y)
-        return inside & polygon_geometry.is_farther(self.vertices, deep, x, y)
+        is_farther = partial(polygon_geometry.is_farther, self.vertices, deep)
+        return polygon_geometry.where_near(is_farther, inside, (x, y), len(self.vertices))
