@@ -14,10 +14,24 @@ MUTANTS = (
     ),
     Mutant(
         "close the upper side of a box",
-        "constraints/boxes.py",
-        "(low <= value) & (value < high)\n        return inside\n\n    def crosses",
-        "(low <= value) & (value <= high)\n        return inside\n\n    def crosses",
-        "constraints/test_boxes",
+        "constraints/edges.py",
+        "return (values >= self._lows[0]) & (values < self._highs[0])",
+        "return (values >= self._lows[0]) & (values <= self._highs[0])",
+        "constraints/test_edges",
+    ),
+    Mutant(
+        "leave the edges of a box where rounding decides",
+        "constraints/edges.py",
+        "return np.asarray(np.float32(np.asarray(edges) - resolution))",
+        "return np.asarray(np.float32(np.asarray(edges)))",
+        "constraints/test_edges",
+    ),
+    Mutant(
+        "enter a corner that is only touched",
+        "constraints/edges.py",
+        "deep = xp.minimum(wide(low + 2.0 * resolution), high)",
+        "deep = xp.minimum(wide(low), high)",
+        "constraints/test_edges",
     ),
     Mutant(
         "forbid actions everywhere, whatever the state they are begun in",
@@ -29,8 +43,8 @@ MUTANTS = (
     Mutant(
         "look at a map at the two ends of a step alone",
         "constraints/occupancy.py",
-        "for k in range(1, int(count)):",
-        "for k in range(1, 1):",
-        "systems/test_walker",
+        "return hit | where_near(passes, has_between & ~hit, (*places[0], *places[1]), 1)",
+        "return hit",
+        "constraints/test_edges",
     ),
 )

@@ -64,7 +64,7 @@ MUTANTS = (
     Mutant(
         "let what lies beside a task's ends count for it",
         "inference/likelihood.py",
-        "counted &= hypotheses.distance(end, space) > float(clearance)",
+        "counted &= hypotheses.distance(end, space) > clear",
         "counted &= hypotheses.distance(end, space) > -1.0",
         "inference/test_likelihood",
     ),
