@@ -57,8 +57,8 @@ MUTANTS = (
     Mutant(
         "sample the action before the one that the uniform number falls on",
         "simulation/trajectory.py",
-        "action = jnp.sum(uniform * cumulative[-1] >= cumulative[:-1], dtype=jnp.int32)",
-        "action = jnp.maximum(jnp.sum(uniform * cumulative[-1] >= cumulative[:-1], dtype=jnp.int32) - 1, 0)",
+        "uniform * cumulative[-1] >= cumulative[:-1], dtype",
+        "uniform * cumulative[-1] >= cumulative[1:], dtype",
         "simulation/test_trajectory",
     ),
     Mutant(
