@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from functools import cache
 
 import numpy as np
 import pytest
+from support.carts import CART, sampled, shown
+from support.reference import CART_TASK, enumerate_exactly
 from support.walks import PROBLEM, ROUND, TASK, walk
 
-from swerve import Demonstration, Task, divergence, infer, learn, sample
+from swerve import Demonstration, Task, divergence, fit_beta, infer, learn, sample
+from swerve.fitting.rewards import total_rewards
+from swerve.fitting.steps import steps_taken
 
 
 def test_divergence_by_hand() -> None:
@@ -87,3 +93,120 @@ def test_divergence_takes_one_number_for_each_demonstration(values) -> None:
         divergence(PROBLEM, [ROUND], values)
     with pytest.raises(ValueError, match="demonstrations: expected a list of at least one"):
         divergence(PROBLEM, [], np.zeros(0))
+
+
+class Recorded:
+    """The same demonstrations of the cart as others would record them."""
+
+    def __init__(self, rate: int = 1, jitter: float = 0.0, offset: float = 0.0, rest: int = 0):
+        self.rate, self.jitter, self.offset, self.rest = rate, jitter, offset, rest
+
+    def __call__(self, made: Demonstration, seed: int) -> Demonstration:
+        assert made.times is not None
+        assert made.actions is not None
+        generator = np.random.default_rng(seed)
+        dt, num = made.times[1], len(made.actions)
+        times = dt / self.rate * np.arange(self.rate * num + 1)
+        times[1:-1] += self.jitter * dt / self.rate * generator.uniform(-1, 1, len(times) - 2)
+        states = np.stack([np.interp(times, made.times, x) for x in made.states.T], axis=1)
+        actions = np.repeat(made.actions, self.rate, axis=0)
+        after = dt / self.rate * np.arange(1, self.rest + 1)
+        return dataclasses.replace(
+            made,
+            states=np.concatenate([states, np.repeat(states[-1:], self.rest, axis=0)]),
+            times=self.offset + np.concatenate([times, times[-1] + after]),
+            actions=np.concatenate([actions, np.full((self.rest, 1), 9.0)]),
+        )
+
+
+@cache
+def made() -> list[Demonstration]:
+    """Demonstrations of the cart: two alike, and one that leaves the track in two steps."""
+    over = np.array([[0.6, 0.3], [1.0, 0.8], [1.65, 1.3]])
+    left = Demonstration("left", over, CART_TASK, 0.5 * np.arange(3), np.ones((2, 1)))
+    return [*shown()[:10], shown()[0], left]
+
+
+@cache
+def log_partition() -> np.ndarray:
+    """Log Z_0 of each of them."""
+    return np.full(len(made()), enumerate_exactly(CART, *CART_TASK).log_partition)
+
+
+class TestOfOtherRecordings:
+    """Whoever records the cart, its demonstrations diverge by the same."""
+
+    def test_is_that_of_enumeration(self) -> None:
+        """KL = sum p log (p / pi_C), with pi_C from all action sequences, one after another."""
+        names = [np.asarray(item.actions).astype(int).tobytes() for item in made()]
+        share = np.array([names.count(name) / len(made()) for name in names])
+        log_pi = []
+        for item in made():
+            reward = total_rewards(CART, [item])[0]
+            num = len(np.asarray(item.actions))
+            log_pi.append(CART.beta * reward - num * math.log(3.0) - log_partition()[0])
+        expected = np.mean(np.log(share) - log_pi)
+        assert share.max() >= 2 / 12
+        assert divergence(CART, made(), log_partition()) == pytest.approx(expected)
+
+    @pytest.mark.parametrize(
+        "recorded",
+        [
+            Recorded(2),
+            Recorded(3),
+            Recorded(offset=5.0),
+            Recorded(2, offset=1.7e9),
+            Recorded(rest=3),
+            Recorded(3, rest=4),
+        ],
+    )
+    def test_is_the_same(self, recorded: Recorded) -> None:
+        others = [recorded(item, k) for k, item in enumerate(made())]
+        expected = divergence(CART, made(), log_partition())
+        assert divergence(CART, others, log_partition()) == pytest.approx(expected, abs=1e-4)
+        mixed = [*made()[:6], *others[6:]]
+        assert divergence(CART, mixed, log_partition()) == pytest.approx(expected, abs=1e-4)
+        np.testing.assert_allclose(
+            total_rewards(CART, others), total_rewards(CART, made()), rtol=1e-5, atol=1e-5
+        )
+        fits = [fit_beta(CART, sampled(), items) for items in (made(), others)]
+        assert fits[1].beta == pytest.approx(fits[0].beta, rel=1e-3)
+
+    @pytest.mark.parametrize("rate", [1, 2])
+    def test_times_that_vary_cut_corners_alone(self, rate: int) -> None:
+        """Lines between rows beside the steps cut corners of the path; actions stay the same."""
+        others = [Recorded(rate, jitter=0.1)(item, k) for k, item in enumerate(made())]
+        found = divergence(CART, made(), log_partition())
+        assert divergence(CART, others, log_partition()) == pytest.approx(found, abs=0.1)
+        for one, other in zip(made(), others, strict=True):
+            taken, expected = (steps_taken(CART.mdp, item).actions for item in (other, one))
+            np.testing.assert_array_equal(taken, expected)
+
+    def test_is_the_same_at_both_precisions(self) -> None:
+        def rounded(item: Demonstration) -> Demonstration:
+            task = Task(*(np.float32(part * 1.1) / 1.1 for part in item.task))
+            actions = np.asarray(item.actions) * np.float32(1.1) / 1.1
+            states = np.float32(item.states)
+            return dataclasses.replace(item, states=states, task=task, actions=actions)
+
+        others = [*made()[:6], *map(rounded, made()[6:])]
+        expected = divergence(CART, made(), log_partition())
+        assert divergence(CART, others, log_partition()) == pytest.approx(expected, abs=1e-4)
+
+    def test_moving_on_after_the_horizon_is_refused(self) -> None:
+        item = next(item for item in made() if len(item.states) == 8)
+        long = Recorded(rest=2)(item, 0)
+        long.states[-1] += 0.1
+        with pytest.raises(ValueError, match="9 steps, more than the horizon of 7"):
+            divergence(CART, [long], np.zeros(1))
+
+    def test_total_rewards_that_are_not_finite_are_refused(self) -> None:
+        far = dataclasses.replace(made()[0], actions=np.full_like(made()[0].actions, 1e30))
+        with pytest.raises(ValueError, match="expected a finite total reward, got -inf"):
+            divergence(CART, [far], np.zeros(1))
+
+
+def test_a_model_without_a_clock_takes_each_row_for_a_step() -> None:
+    slow = dataclasses.replace(ROUND, times=7.5 * np.arange(len(ROUND.states)))
+    value = np.array([-2.0])
+    assert divergence(PROBLEM, [slow], value) == divergence(PROBLEM, [ROUND], value)

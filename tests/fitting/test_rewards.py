@@ -82,7 +82,7 @@ class TestRewards:
         ],
     )
     def test_what_cannot_be_rewarded_is_refused(self, changes: dict, message: str) -> None:
-        states = np.tile(CART_TASK.start, (5, 1))
+        states = CART_TASK.start + 0.01 * np.arange(5)[:, None]
         made = Demonstration("a", states, CART_TASK, actions=np.ones((4, 1)))
         with pytest.raises(ValueError, match=message):
             total_rewards(CART, [dataclasses.replace(made, **changes)])

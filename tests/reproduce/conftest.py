@@ -10,7 +10,7 @@ import pytest
 from support.golden_world import KINDS, SIZES, VALUES, WORLD, left_after
 
 from swerve.answer import infer
-from swerve.fitting.rewards import taken_actions
+from swerve.fitting.steps import steps_taken
 from swerve.inference.greedy import greedy
 from swerve.reproduce.gridworld import measure as gridworld
 from swerve.reproduce.gridworld.golden import read_golden
@@ -43,7 +43,7 @@ def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = {
         "states": [(d.states @ [1, 4]).astype(int).tolist() for d in made],
         "actions": [
-            [moves.index((int(x), int(y))) for x, y in taken_actions(world.problem.mdp, d)]
+            [moves.index((int(x), int(y))) for x, y in steps_taken(world.problem.mdp, d).actions]
             for d in made
         ],
         "selected": selected,

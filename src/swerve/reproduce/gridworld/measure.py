@@ -28,7 +28,7 @@ import numpy as np
 from swerve.base.progress import progress_bar
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.fitting.rewards import taken_actions
+from swerve.fitting.steps import steps_taken
 from swerve.problem.problem import Problem
 from swerve.reproduce.gridworld.golden import Agreement, Golden, Picked, agree, pick, read_golden
 from swerve.solvers.exact.tabular import Tabular
@@ -141,7 +141,7 @@ def sampled(
         Demonstration(f"demo_{k}", states[: length + 1], task)
         for k, (states, length) in enumerate(zip(kept.states, kept.length, strict=True))
     ]
-    return [dataclasses.replace(d, actions=taken_actions(problem.mdp, d)) for d in made]
+    return [dataclasses.replace(d, actions=steps_taken(problem.mdp, d).actions) for d in made]
 
 
 def labels(mdp: Gridworld) -> list[str]:
