@@ -49,3 +49,15 @@ def test_a_known_constraint_is_flagged() -> None:
     monitor = make_monitor(evidence)
     assert monitor.observe(START).flags == ()
     assert "in a known constraint" in monitor.observe([START[0], 2.5]).flags
+
+
+def test_a_model_without_a_clock_has_no_late_early_and_missing_states() -> None:
+    evidence = slow_evidence(record=make_record(is_timed=False))
+    shortest = evidence.summary._replace(shortest=np.full(3, 0.4))
+    monitor = make_monitor(dataclasses.replace(evidence, summary=shortest))
+    theta, x = START
+    assert monitor.observe([theta, x], 0.2).flags == ()
+    assert monitor.observe([theta, x + 0.6], 0.21).flags == ()  # a quick one
+    assert monitor.finish().flags == ()
+    assert monitor.observe([theta, x + 0.7], 5.0).flags == ()
+    assert monitor.observe([theta, x + 6.0], 5.1).flags == ("unreachable",)

@@ -210,3 +210,32 @@ def test_warnings_name_those_they_are_about(evidence: Evidence) -> None:
 def test_some_names() -> None:
     assert some_names(["a", "b", "c"]) == "a, b, c"
     assert some_names(["a", "b", "c", "d"]) == "a, b, c and 1 more"
+
+
+def untimed(evidence: Evidence) -> Evidence:
+    """The evidence of a model whose moves take no definite time: at most 0.15 in x."""
+    record = make_record(between_states=True, is_timed=False, transitions=None)
+    return dataclasses.replace(evidence, problem=record)
+
+
+@pytest.mark.parametrize("duration", [0.01, 0.3, 5.0, 500.0])
+def test_a_model_without_a_clock_has_no_durations_speeds_and_rates(
+    evidence: Evidence, duration: float
+) -> None:
+    item = straight(TASKS.goal[1], duration, num_states=25)
+    assert doubts(item, untimed(evidence), 1) == {}
+    assert doubts(dataclasses.replace(item, times=None), untimed(evidence), 1) == {}
+    assert "duration" in doubts(item, evidence, 1) or duration == 0.5 or duration == 0.3
+
+
+def test_rows_far_apart_and_jumps_are_told_without_a_clock(evidence: Evidence) -> None:
+    """The moves of the model change x by 0.9 at most."""
+    found = doubts(straight(TASKS.goal[1], num_states=2), untimed(evidence), 1)
+    assert found["move"].startswith("has rows up to 3 apart in x, where a move of the model ")
+    assert "changes it by at most 0.9: the straight lines between them may cut" in found["move"]
+    item = straight(TASKS.goal[1], num_states=200)
+    item.states[100:, 1] += 3.5
+    item.states[:] -= [0.0, 1.0]
+    text = doubts(item, untimed(evidence), 1)["move"]
+    assert text.startswith("jumps by 3.48 in x from row 100 to row 101, where a move of the model ")
+    assert "and the other rows by 0.0151 as a rule: a glitch or a gap of the recording?" in text

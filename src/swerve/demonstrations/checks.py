@@ -22,6 +22,11 @@ bounds, in extents of the state space: rounding in files explains distances up t
 LATTICE_TOLERANCE = 1e-3  # distance to a whole number: numbers this near are rounded whole numbers
 MAX_ARC = 0.45 * TWO_PI  # rad, change of an angle in a step: nearer to pi the direction is unclear
 
+# Times that do not increase: what tells several recordings from rows that are out of order.
+FEW_RETURNS = 0.2  # share of the rows: where times go back more often, rows are out of order
+FAR_BACK = 3.0  # usual steps of time: rows in the wrong place go back by less
+MANY_TWICE = 0.25  # share of the rows: where more times occur twice, recordings are mixed
+
 # Limits beyond which a recorded state or demonstration is odd beside nominal trajectories of its
 # task. Odd data are not refused: `trust.doubts` warns, and a monitor flags the state.
 FAST = 3.0  # times the fastest nominal change of a state: more is a glitch or a wrong unit
@@ -142,8 +147,22 @@ def _check_times(times: np.ndarray, at: RowNamer) -> None:
         before, after = (float(time) for time in times[late[0] : late[0] + 2])
         raise ValueError(
             f"{at(late[0])} has t = {before!r} and row {late[0] + 2} has t = {after!r}; expected "
-            f"times that strictly increase: sort the rows, or remove those recorded twice"
+            f"times that strictly increase: {_order_advice(times)}"
         )
+
+
+def _order_advice(times: np.ndarray) -> str:
+    """Return what to do about times [L] that do not strictly increase."""
+    changes = np.diff(times)
+    back, usual = -changes[changes < 0.0], np.median(np.abs(changes))
+    is_mixed = np.count_nonzero(changes == 0.0) > MANY_TWICE * len(times)
+    is_joined = 0 < len(back) <= FEW_RETURNS * len(times) and back.min() > FAR_BACK * usual
+    if is_mixed or is_joined:
+        return (
+            "several recordings in one file? Split it, one file each; to sort the rows would mix "
+            "the recordings"
+        )
+    return "sort the rows, or remove those recorded twice"
 
 
 def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:

@@ -15,6 +15,7 @@ import io
 import itertools
 import math
 import re
+import reprlib
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -49,6 +50,7 @@ def _read(
     if header is None:
         raise ValueError(f"{path}: the file is empty; expected a header and rows of numbers")
     found = [cell.strip() for cell in header]
+    found[0] = found[0].lstrip("#").strip()  # NumPy writes a header as a comment
     names = select_columns(path, found, required, optional, label)
     values, labels, part = array("d"), [], ""
     if label is None:
@@ -63,7 +65,8 @@ def _read(
     rest = _csv_rows(path, itertools.chain(io.StringIO(part), text), line)
     _parse_cells(path, rest, found, names, label, optional, values, labels)
     table = np.frombuffer(values).reshape(-1, len(names))
-    return Table(names, table, labels, lambda row: _line_of(path, data, row))
+    unread = tuple(name for name in found if name not in (*names, label))
+    return Table(names, table, labels, lambda row: _line_of(path, data, row), unread)
 
 
 def _lines(data: bytes) -> io.TextIOWrapper:
@@ -149,7 +152,7 @@ def _parse_cells(
             cell = cells[place].strip(BLANKS)
             value = _number(cell)
             if value is None:
-                problem = f"{at}, column {name}: expected a number, got {cell!r}"
+                problem = f"{at}, column {name}: expected a number, got {reprlib.repr(cell)}"
                 if cell or name not in optional:
                     raise ValueError(problem)
                 value, blank = math.nan, blank or problem

@@ -34,6 +34,7 @@ from swerve.demonstrations.checks import (
 )
 from swerve.demonstrations.csv_format import csv_text
 from swerve.demonstrations.formats import read_table
+from swerve.demonstrations.recordings import read_recording
 
 MAX_ERRORS = 10  # unusable files named in one error message: a longer list would not be read
 
@@ -48,6 +49,7 @@ class Demonstration:
       task: start [n] and goal [g].
       times: [L] time of each state [s], where known.
       actions: [L-1, m] actions between the states; or [L, m], where the last action is not used.
+      notes: what was odd about the file that it was read from, for `infer` to tell.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Demonstration:
     task: Task
     times: np.ndarray | None = None
     actions: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         states = shaped(self.states, (None, None), "states", self.name)
@@ -87,7 +90,9 @@ def read_demonstrations(
     """Read and check demonstration files, one demonstration each.
 
     The first line of a file names its columns: the states, `t` [s] if known, and the actions if
-    known; the actions of the last row may be blank. Other columns are ignored.
+    known; the actions of the last row may be blank. Without a column `t`, the only column whose
+    name says time in seconds, such as `time` or `T [s]`, is taken for it. Other columns are
+    ignored; `infer` warns of those that look like times or like misspelt actions.
 
     Args:
       paths: CSV or Parquet files.
@@ -113,7 +118,7 @@ def read_demonstrations(
     known = None if tasks is None else read_tasks(tasks, space, goal_names)
 
     def read(path: Path) -> Demonstration:
-        states, times, actions = _read_trajectory(path, space, action_names)
+        states, times, actions, notes = read_recording(path, space, action_names)
         if known is None:
             goal = states[-1] if goal_of is None else goal_of(states)
             task = Task(states[0], shaped(goal, (len(goal_names),), "a goal", str(path)))
@@ -121,7 +126,7 @@ def read_demonstrations(
         else:
             task = _find_task(path.stem, known, str(path), f"in {tasks}")
             check_start(states[0], task, space, str(path))
-        return Demonstration(path.stem, states, task, times, actions)
+        return Demonstration(path.stem, states, task, times, actions, notes)
 
     return _read_all(files, read)
 
@@ -274,28 +279,6 @@ def _find_task(name: str, tasks: dict[str, Task], where: str, source: str) -> Ta
     if len(cells) > 1:
         raise ValueError(f"{where}: two tasks {source}, {' and '.join(cells)}; rename one")
     return tasks[cells[0]]
-
-
-def _read_trajectory(
-    path: Path, space: StateSpace, action_names: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    table = read_table(path, space.names, optional=("t", *action_names))
-    states = table.columns(space.names)
-    times = table.columns(["t"])[:, 0] if "t" in table.names else None
-    check_states(states, times, space, str(path), line_of=table.line_of)
-    missing = [name for name in action_names if name not in table.names]
-    if len(missing) == len(action_names):
-        return states, times, None
-    if missing:
-        raise ValueError(
-            f"{path}: no column {', '.join(missing)}; expected all of the actions "
-            f"{', '.join(action_names)}, or none"
-        )
-    actions = table.columns(action_names)
-    if np.isnan(actions[-1]).all():  # blank: no action follows the last state
-        actions = actions[:-1]
-    check_finite(actions, action_names, row_namer(str(path), table.line_of))
-    return states, times, actions
 
 
 def _tasks_header(space: StateSpace, goal_names: Sequence[str]) -> list[str]:

@@ -48,7 +48,8 @@ def read_parquet(
             raise ValueError(
                 f"{path}: row {row + 1}, column {name}: expected a {expected}, got null"
             )
-    return Table(names, numbers, answer["labels"], None)
+    unread = tuple(name for name in found if name not in (*names, label))
+    return Table(names, numbers, answer["labels"], None, unread)
 
 
 def _decoded(path: Path, names: list[str], label: str | None) -> tuple[Any, np.ndarray]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from swerve.base.files import open_regular
 from swerve.base.phrases import cut
+from swerve.demonstrations.headers import nearly
 
 MAX_FOUND = 500  # characters of the column names that a message lists
 MAX_BYTES = 2**30  # bytes of a file of demonstrations or tasks: larger files are refused unread
@@ -29,12 +30,14 @@ class Table(NamedTuple):
       values: [rows, len(names)] the numbers.
       labels: the column of text; empty where no such column was asked for.
       line_of: maps a row, counted from 0, to its line in the file; None for Parquet.
+      unread: names of the other columns that the file has.
     """
 
     names: list[str]
     values: np.ndarray
     labels: list[str]
     line_of: Callable[[int], int] | None
+    unread: tuple[str, ...] = ()
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
         """Return the columns [rows, len(names)] with these names."""
@@ -52,9 +55,11 @@ def select_columns(
     needed = [*([] if label is None else [label]), *required]
     missing = [name for name in needed if name not in found]
     if missing:
+        near = [other for name in missing for other in nearly(name, found)]
+        hint = f"; rename {', '.join(map(repr, near))}?" if near else ""
         raise ValueError(
             f"{path}: no column {', '.join(missing)}; expected {', '.join(needed)} in a first "
-            f"line of names separated by commas, found {cut(', '.join(found), MAX_FOUND)}"
+            f"line of names separated by commas, found {cut(', '.join(found), MAX_FOUND)}{hint}"
         )
     twice = [name for name, count in Counter(found).items() if name and count > 1]
     if twice:

@@ -54,13 +54,20 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
     """Return the oddities of a demonstration beside nominal trajectories, by kind of doubt."""
     is_known = evidence.is_exact or not evidence.has_too_few[task]
     problem, motion = evidence.problem, evidence.motion
-    found = {
-        "end": _odd_end(demonstration, evidence, task) if is_known else "",
-        "duration": _odd_duration(demonstration, evidence, task),
-        "speed": _odd_speed(demonstration, evidence, task) or _jump(demonstration, evidence, task),
-        "rate": _coarse(demonstration, evidence),
-        "dynamics": "" if motion is None else against_dynamics(demonstration, problem, motion),
-    }
+    found = {f"columns: {note}": note for note in demonstration.notes}
+    found |= {"end": _odd_end(demonstration, evidence, task) if is_known else ""}
+    if problem.is_timed:
+        found |= {
+            "duration": _odd_duration(demonstration, evidence, task),
+            "speed": _odd_speed(demonstration, evidence, task)
+            or _jump(demonstration, evidence, task),
+            "rate": _coarse(demonstration, evidence),
+        }
+    elif problem.transitions is None:
+        found["move"] = _odd_move(demonstration, evidence, task)
+    if motion is not None:
+        text = against_dynamics(demonstration, problem, motion)
+        found[f"dynamics: {text.rpartition('. ')[2]}"] = text  # each cause is told by itself
     return {kind: text for kind, text in found.items() if text}
 
 
@@ -154,6 +161,30 @@ def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
         "the straight lines between them may cut through a hypothesis that was avoided, and strike "
         "it out"
     )
+
+
+def _odd_move(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
+    """Return what is odd about the moves of a demonstration, whatever time they took."""
+    problem, space = evidence.problem, evidence.problem.space
+    moved = np.abs(space.difference(demonstration.states[:-1], demonstration.states[1:]))
+    usual = np.sort(moved, axis=0)[int(FAST_SHARE * (len(moved) - 1))]
+    largest = evidence.summary.fastest[task] * problem.dt
+    row, column = np.unravel_index(int((moved / space.extent).argmax()), moved.shape)
+    name, size, most = space.names[column], moved[row, column], largest[column]
+    if problem.between_states and usual[column] > FAST * most + JITTER * space.extent[column]:
+        return (
+            f"has rows up to {size:.3g} apart in {name}, where a move of the model changes it by "
+            f"at most {most:.3g}: the straight lines between them may cut through a hypothesis "
+            "that was avoided, and strike it out"
+        )
+    if size > FAST * max(most, usual[column]) + JITTER * space.extent[column]:
+        return (
+            f"jumps by {size:.3g} in {name} from row {row + 1} to row {row + 2}, where a move of "
+            f"the model changes it by at most {most:.3g}, and the other rows by "
+            f"{usual[column]:.3g} as a rule: a glitch or a gap of the recording? Hypotheses on the "
+            "straight line between the rows count as entered"
+        )
+    return ""
 
 
 def _doubts(inference: Ranking) -> Iterator[str]:

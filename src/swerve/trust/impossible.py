@@ -258,8 +258,11 @@ def _cause(recording: _Recording, found: Finding) -> str:
 
 def _slower(recording: _Recording) -> str:
     """Return the nearest other unit of time in which no action seems too weak; '' if none helps."""
-    for factor in RATES[:NUM_NEAR] if recording.elapsed is not None else ():
-        other = recording._replace(elapsed=factor * recording.elapsed)
+    elapsed = recording.elapsed
+    if elapsed is None:
+        return ""
+    for factor in RATES[:NUM_NEAR]:
+        other = recording._replace(elapsed=factor * elapsed)
         if other.worst(other.steps, STRICT).share < EXPLAINED:
             return f"It fits {_other_rate(factor)}"
     return ""

@@ -1,0 +1,120 @@
+"""Names of columns that say time, and names that are misspelt."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from support.synthetic import make_evidence
+
+from swerve import infer, read_demonstrations
+from swerve.base.space import StateSpace
+from swerve.demonstrations.demonstration import Demonstration
+
+SPACE = StateSpace(("x", "v"), (), np.array([[-3.0, 3.0], [-4.0, 4.0]]))
+ROWS = [[0.0, -1.0, 0.5], [0.1, -0.9, 0.5], [0.2, -0.8, 0.5]]
+
+
+def read(path: Path, *header: str, rows=ROWS, action_names=()) -> Demonstration:
+    if path.suffix == ".csv":
+        lines = [",".join(header), *(",".join(map(str, row)) for row in rows)]
+        path.write_text("\n".join(lines))
+    else:
+        pl.DataFrame(dict(zip(header, zip(*rows, strict=True), strict=True))).write_parquet(path)
+    (item,) = read_demonstrations([path], SPACE, action_names=action_names)
+    return item
+
+
+TIMES = ("t", "time", "T", "Time", "t [s]", "t(s)", "t_s", "time_s", "Time [sec]", "timestamp")
+TIMES = (*TIMES, "TIMESTAMP", "stamp", "sec", "secs", "seconds", "elapsed_s", "times")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("name", TIMES)
+def test_the_only_column_that_says_time_is_taken(tmp_path: Path, name: str, suffix: str) -> None:
+    item = read(tmp_path / f"a{suffix}", "x", name, "v", rows=[[r[1], r[0], r[2]] for r in ROWS])
+    assert item.times is not None
+    assert item.times.tolist() == [0.0, 0.1, 0.2]
+    assert item.states[:, 1].tolist() == [0.5] * 3
+    assert item.notes == ()
+
+
+@pytest.mark.parametrize("header", ["# t", "#t", "# time", "#"])
+def test_a_hash_before_the_header_is_no_part_of_a_name(tmp_path: Path, header: str) -> None:
+    item = read(tmp_path / "a.csv", header, "x", "v")
+    assert (item.times is None) == (header == "#")
+    states_first = read(tmp_path / "b.csv", "# x", "v", "t", rows=[r[1:] + r[:1] for r in ROWS])
+    assert states_first.times is not None
+    assert states_first.states[:, 0].tolist() == [-1.0, -0.9, -0.8]
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("t_ms", "x", "v"), "'t_ms'"),
+        (("time [ns]", "x", "v"), "'time [ns]'"),
+        (("timestamp_us", "x", "v"), "'timestamp_us'"),
+        (("min", "x", "v"), None),
+        (("frame", "x", "v"), None),
+        (("temperature", "x", "v"), None),
+        (("torque", "x", "v"), None),
+    ],
+)
+def test_a_time_that_is_not_taken_is_told(tmp_path: Path, names, told: str | None) -> None:
+    item = read(tmp_path / "a.csv", *names)
+    assert item.times is None
+    if told is None:
+        assert item.notes == ()
+        return
+    [note] = item.notes
+    assert note == (
+        f"has no column t, and {told} was not taken for it: durations, rates and speeds are not "
+        "checked. Name the times t, in seconds"
+    )
+
+
+def test_two_times_dates_and_clocks_that_stand_still_are_not_taken(tmp_path: Path) -> None:
+    both = [[*row, row[0]] for row in ROWS]
+    item = read(tmp_path / "a.csv", "time", "x", "v", "stamp", rows=both)
+    assert item.times is None
+    assert "'time' or 'stamp' was not taken" in item.notes[0]
+    dates = [[f"2024-01-0{k + 1}", *row[1:]] for k, row in enumerate(ROWS)]
+    for suffix in (".csv", ".parquet"):
+        item = read(tmp_path / f"b{suffix}", "time", "x", "v", rows=dates)
+        assert item.times is None
+        assert "'time' was not taken" in item.notes[0]
+    still = [[7, *row[1:]] for row in ROWS]
+    assert read(tmp_path / "c.csv", "time", "x", "v", rows=still).times is None
+    t_and_time = read(tmp_path / "d.csv", "t", "x", "v", "time", rows=both)
+    assert t_and_time.times is not None
+    assert t_and_time.notes == ()
+
+
+def test_a_misspelt_action_is_told_and_a_misspelt_state_is_named(tmp_path: Path) -> None:
+    rows = [[*row, 1.0] for row in ROWS]
+    item = read(
+        tmp_path / "a.csv", "t", "x", "v", "Torque [Nm]", rows=rows, action_names=["torque"]
+    )
+    assert item.actions is None
+    assert item.notes == (
+        "has no column torque, and 'Torque [Nm]' was not taken for it: rename the column",
+    )
+    with pytest.raises(
+        ValueError, match=r"no column v; .*found t, x, V \[m/s\]; rename 'V \[m/s\]'"
+    ):
+        read(tmp_path / "b.csv", "t", "x", "V [m/s]")
+    with pytest.raises(ValueError, match=r"no column v; expected x, v .*found t, x, speed$"):
+        read(tmp_path / "c.csv", "t", "x", "speed")
+
+
+def test_infer_tells_the_notes() -> None:
+    evidence = make_evidence()
+    task = evidence.tasks
+    states = np.repeat(task.start[:1], 3, axis=0)
+    item = Demonstration("demo", states, type(task)(task.start[0], task.goal[0]))
+    noted = dataclasses.replace(item, notes=("has no column t, and so on",))
+    assert infer(evidence, [noted]).warnings[0] == "demo has no column t, and so on"
+    assert "has no column t, and so on" not in infer(evidence, [item]).warnings
