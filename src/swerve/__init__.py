@@ -6,6 +6,7 @@ The public names below are bound on first use, so that `import swerve` is quick 
 stored evidence never imports JAX.
 """
 
+from swerve.base import imports  # first: what is imported after it is what is installed
 from swerve.base.version import VERSION
 
 __version__ = VERSION

@@ -106,8 +106,10 @@ def test_importing_loads_neither_jax_nor_polars_nor_zipfile() -> None:
         "new = {name.split('.')[0] for name in set(sys.modules) - before};"
         "assert not new & {'jax', 'polars', 'zipfile', 'tempfile', 'hashlib'}, new;"
         "swerve = {name for name in sys.modules if name.startswith('swerve.')};"
-        "base = {f'base.{name}' for name in ('files', 'space', 'store', 'version')};"
-        "read = ('checks', 'csv_format', 'demonstration', 'formats', 'parquet_format', 'tables');"
+        "names = 'decimals files imports json_text phrases space store version'.split();"
+        "base = {f'base.{name}' for name in names};"
+        "read = ('checks', 'csv_format', 'demonstration', 'formats', 'headers', 'parquet_format',"
+        "    'recordings', 'tables');"
         "ours = {'base', 'demonstrations'} | base | {f'demonstrations.{name}' for name in read};"
         "assert swerve == {f'swerve.{name}' for name in ours}, swerve"
     )

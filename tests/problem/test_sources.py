@@ -52,12 +52,14 @@ class TestSourceHashes:
         after = source_hashes(load_problem(f"{folder}/robot.py:problem"))
         assert {path for path in before if before[path] != after[path]} == {shapes}
 
-    def test_are_of_whatever_is_imported(self, folder: Path) -> None:
+    def test_are_of_whatever_is_imported(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         """A module that the problem does not use is among them, a script is not."""
         problem = load_problem(f"{folder}/robot.py:problem")
         (folder / "unrelated.py").write_text("")
         assert str(folder / "unrelated.py") not in source_hashes(problem)
-        importlib.invalidate_caches()
+        monkeypatch.syspath_prepend(folder)
         importlib.import_module("unrelated")
         found = source_hashes(problem)
         assert str(folder / "unrelated.py") in found

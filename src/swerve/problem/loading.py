@@ -11,16 +11,16 @@ import hashlib
 import importlib
 import importlib.util
 import sys
-import sysconfig
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from swerve.base import imports
 from swerve.base.files import open_regular
 from swerve.base.specification import Specification, build
 
@@ -54,14 +54,32 @@ def canonical_problem(text: str) -> str:
 
 def _place(module: str) -> str:
     """Return ' in FOLDER' for a module that is not installed, '' for an installed module."""
-    _search_here()
-    try:
-        found = importlib.util.find_spec(module.partition(".")[0])
-    except ValueError:  # a module that was not made from a file
-        return ""
+    top = module.partition(".")[0]
+    found = _found_here(module)
+    if found is None:
+        try:
+            found = importlib.util.find_spec(top)
+        except ValueError:  # a module that was not made from a file
+            return ""
     places = [found.origin, *(found.submodule_search_locations or ())] if found else []
     files = [Path(place) for place in places if place]
     return f" in {files[0].parent}" if files and _is_user_source(files[0]) else ""
+
+
+def _found_here(module: str) -> ModuleSpec | None:
+    """Return the specification of a module's top-level name in the current folder, if any.
+
+    A module that was imported from another folder of the user is found there, not here.
+    """
+    top, dot, _ = module.partition(".")
+    if dot and top == "swerve":
+        return None
+    loaded = getattr(sys.modules.get(top), "__file__", None)
+    if loaded is not None and top != "swerve" and _is_user_source(Path(loaded)):
+        return None
+    found = imports.find_in(str(Path.cwd()), top)
+    is_package = found is not None and found.submodule_search_locations is not None
+    return None if dot and not is_package else found
 
 
 def load_problem(text: str) -> Any:
@@ -152,16 +170,7 @@ def _user_modules() -> dict[str, Path]:
 
 
 def _is_user_source(path: Path) -> bool:
-    return (
-        path.suffix == ".py"
-        and not {"site-packages", "dist-packages"} & set(path.parts)  # of pip, of Debian
-        and not any(path.is_relative_to(folder) for folder in _installed())
-    )
-
-
-@cache
-def _installed() -> list[str]:
-    return [sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+    return path.suffix == ".py" and not imports.is_installed(str(path))
 
 
 def _load_file(path: Path) -> ModuleType:
@@ -169,21 +178,13 @@ def _load_file(path: Path) -> ModuleType:
         raise ValueError(f"{path}: no such file")
     path = path.resolve()
     _check_neighbours(path)
-    sys.path.insert(0, str(path.parent))  # so that the file can import other files of its folder
     # a name that neither an installed module nor a file of this name in another folder can have
     name = f"swerve_problem_{path.stem}_{hashlib.sha256(bytes(path)).hexdigest()[:8]}"
+    imports.looking_in(str(path.parent), name)
     specification = importlib.util.spec_from_file_location(name, path)
     assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module
-    try:
-        with _user_code():
-            specification.loader.exec_module(module)
-    except ValueError:
-        del sys.modules[name]
-        raise
-    return module
+    with _user_code():
+        return _run(importlib.util.module_from_spec(specification), specification)
 
 
 @contextmanager
@@ -233,15 +234,32 @@ def _same(a: Path, b: Path) -> bool:
 
 
 def _load_module(name: str, text: str) -> ModuleType:
-    _search_here()
+    """Import a module of the current folder or, where there is none, one that Python finds."""
+    here, top = _found_here(name), name.partition(".")[0]
+    if here is not None and (top in sys.modules or imports.find_installed(top) is not None):
+        if here.submodule_search_locations is None and here.origin is not None:
+            return _load_file(Path(here.origin))  # under a name that takes no other's place
+        raise ValueError(
+            f"{text!r}: the folder {top!r} has the name of a module that is installed: rename the "
+            "folder, or name the file, as in path/to/file.py:name"
+        )
     try:
         with _user_code():
+            if here is not None:
+                imports.looking_in(str(Path.cwd()), top)
+                _run(importlib.util.module_from_spec(here), here)
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise ValueError(f"{text!r}: {error}") from error
 
 
-def _search_here() -> None:
-    """Look for modules in the current folder first, as `python -m` does."""
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
+def _run(module: ModuleType, specification: ModuleSpec) -> ModuleType:
+    """Run a new module and keep it among the imported ones, unless it fails."""
+    assert specification.loader is not None
+    sys.modules[module.__name__] = module
+    try:
+        specification.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    return module

@@ -1,0 +1,185 @@
+"""Libraries never see the folders of the user; a user's file sees its own."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import swerve
+from swerve.base import imports
+from swerve.problem.loading import canonical_problem, load_problem
+
+SHADOWS = (
+    *(
+        "jax",
+        "html",
+        "numpy",
+        "scipy",
+        "equinox",
+        "optax",
+        "polars",
+        "rich",
+        "matplotlib",
+        "cyclopts",
+    ),
+    *("msgspec", "random", "zoneinfo", "tensorflow", "colorama", "typing_extensions"),
+)
+BEFORE_SWERVE = ("swerve", "types")  # `python -m` runs these before anything of Swerve, of itself
+PROBLEM, SETTINGS = "gridworld", ("--json",)
+SCRIPT = f"""
+import sys
+from swerve.cli.app import main
+sys.argv = ["swerve", "infer", {PROBLEM!r}, *{SETTINGS!r}]
+main()
+"""
+CART = """
+import swerve
+
+def problem(beta: float = 0.5):
+    cells = swerve.grid(theta=(0.0, 6.0, 3))
+    return swerve.Problem(swerve.Pendulum(num_steps=3), cells, beta=beta)
+"""
+
+
+def shadowed(folder: Path, names: tuple[str, ...]) -> Path:
+    """Make a folder of modules that leave a mark and fail when they are run."""
+    folder.mkdir()
+    mark = folder / "mark"
+    for name in names:
+        text = f"open({str(mark)!r}, 'a').write({name!r})\nraise SystemExit('{name} was run')\n"
+        (folder / f"{name}.py").write_text(text)
+    return folder
+
+
+def answer(folder: Path, *command: object) -> object:
+    """Return what a command prints in a folder, as data without the times."""
+    keep = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    environment = keep | {"JAX_PLATFORMS": "cpu"}
+    texts = [str(part) for part in command]
+    run = subprocess.run(
+        texts, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert not (folder / "mark").exists(), (folder / "mark").read_text()
+    return json.loads(run.stdout)
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> object:
+    """The answer in an empty folder."""
+    folder = tmp_path_factory.mktemp("empty")
+    return answer(folder, Path(sys.executable).parent / "swerve", "infer", PROBLEM, *SETTINGS)
+
+
+class TestLibraries:
+    def test_the_command_runs_nothing_of_the_current_folder(
+        self, tmp_path: Path, expected: object
+    ) -> None:
+        folder = shadowed(tmp_path / "here", (*SHADOWS, *BEFORE_SWERVE))
+        command = Path(sys.executable).parent / "swerve"
+        assert answer(folder, command, "infer", PROBLEM, *SETTINGS) == expected
+
+    def test_nor_does_the_package(self, tmp_path: Path, expected: object) -> None:
+        folder = shadowed(tmp_path / "here", SHADOWS)
+        command = (sys.executable, "-m", "swerve", "infer", PROBLEM, *SETTINGS)
+        assert answer(folder, *command) == expected
+
+    def test_a_script_may_have_the_name_of_a_module(self, tmp_path: Path, expected: object) -> None:
+        others = tuple(name for name in SHADOWS if name not in ("tensorflow", "colorama"))
+        folder = shadowed(tmp_path / "here", others)
+        (folder / "html.py").write_text(SCRIPT)
+        assert answer(folder, sys.executable, "html.py") == expected
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The current folder, whose modules are forgotten afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(imports, "_folders", {})
+    path = list(sys.path)
+    yield tmp_path
+    assert sys.path == path
+    for name, module in list(sys.modules.items()):
+        if str(tmp_path) in str(getattr(module, "__file__", "")):
+            del sys.modules[name]
+
+
+class TestNeighbours:
+    def test_files_and_packages_are_found_at_any_time(self, folder: Path) -> None:
+        (folder / "parts_of_cart").mkdir()
+        (folder / "parts_of_cart" / "wheel.py").write_text("import masses_of_cart\nSIZE = 0.5\n")
+        (folder / "masses_of_cart.py").write_text("MASS = 1.0\n")
+        (folder / "late_in_cart.py").write_text("BETA = 0.25\n")
+        text = CART.replace("import swerve", "import swerve\nfrom parts_of_cart.wheel import SIZE")
+        (folder / "cart.py").write_text(
+            f"{text}\ndef late():\n    import late_in_cart\n"
+            "    return problem(late_in_cart.BETA + SIZE)\n"
+        )
+        assert load_problem("cart.py:problem").beta == 0.5
+        assert load_problem("cart.py:late").beta == 0.75
+
+    def test_nobody_else_finds_them(self, folder: Path) -> None:
+        (folder / "only_of_cart.py").write_text("")
+        (folder / "cart.py").write_text(CART)
+        load_problem("cart.py:problem")
+        with pytest.raises(ModuleNotFoundError, match="only_of_cart"):
+            importlib.import_module("only_of_cart")
+
+    def test_do_not_take_the_place_of_installed_modules(self, folder: Path) -> None:
+        for name in ("html", "numpy", "polars"):
+            (folder / f"{name}.py").write_text("raise SystemExit\n")
+        (folder / "cart.py").write_text(f"import html, numpy, polars\nhtml.escape('')\n{CART}")
+        assert load_problem("cart.py:problem").beta == 0.5
+        assert sys.modules["html"] is html
+        assert sys.modules["numpy"] is np
+
+
+class TestModulesOfTheCurrentFolder:
+    def test_are_found_for_the_problem_alone(self, folder: Path) -> None:
+        (folder / "garage_of_carts").mkdir()
+        (folder / "garage_of_carts" / "__init__.py").write_text("import tools_of_carts\n")
+        (folder / "garage_of_carts" / "cart.py").write_text(f"import tools_of_carts\n{CART}")
+        (folder / "tools_of_carts.py").write_text("")
+        text = "garage_of_carts.cart:problem"
+        before = canonical_problem(text)
+        assert before == f"{text} in {folder}/garage_of_carts"
+        problem = load_problem(f"{text}?beta=0.25")
+        assert problem.beta == 0.25
+        assert canonical_problem(text) == before
+        assert "tools_of_carts" in sys.modules
+
+    @pytest.mark.parametrize("name", ["html", "swerve", "numpy"])
+    def test_may_have_the_name_of_an_installed_one(self, folder: Path, name: str) -> None:
+        before = sys.modules[name]
+        (folder / f"{name}.py").write_text(CART)
+        assert canonical_problem(f"{name}:problem") == f"{name}:problem in {folder}"
+        assert load_problem(f"{name}:problem").beta == 0.5
+        assert load_problem(f"{name}.py:problem").beta == 0.5
+        assert sys.modules[name] is before
+        assert type(load_problem("pendulum").mdp) is swerve.Pendulum
+
+    def test_a_folder_with_the_name_of_an_installed_one_is_refused(self, folder: Path) -> None:
+        (folder / "numpy").mkdir()
+        (folder / "numpy" / "__init__.py").write_text("")
+        (folder / "numpy" / "cart.py").write_text(CART)
+        message = "'numpy.cart:problem': the folder 'numpy' has the name of a module that is inst"
+        with pytest.raises(ValueError, match=message):
+            load_problem("numpy.cart:problem")
+        assert load_problem("numpy/cart.py:problem").beta == 0.5
+
+    def test_an_error_in_one_is_told_and_may_be_mended(self, folder: Path) -> None:
+        (folder / "broken_cart.py").write_text("1 / 0\n")
+        with pytest.raises(ValueError, match=r"broken_cart\.py, line 1: ZeroDivisionError"):
+            load_problem("broken_cart:problem")
+        (folder / "broken_cart.py").write_text(CART)
+        assert load_problem("broken_cart:problem").beta == 0.5
