@@ -55,10 +55,11 @@ def test_resting_at_the_end_is_no_step() -> None:
         "rests",
         np.concatenate([ROUND.states, ROUND.states[-1:]]),
         TASK,
-        actions=np.concatenate([np.asarray(ROUND.actions), [[0.0, 1.0]]]),
+        actions=np.concatenate([np.asarray(ROUND.actions), [[-1.0, 0.0]]]),
     )
-    result = infer(sample(learn(PROBLEM), TASK), [rests])
+    result = infer(sample(learn(PROBLEM), TASK), [rests, ROUND])
     assert result.entered[0].sum() > 3
+    np.testing.assert_array_equal(result.entered[0], result.entered[1])
     bare = Demonstration("bare", rests.states, TASK)
     expected = divergence(PROBLEM, [ROUND], np.zeros(1))
     assert divergence(PROBLEM, [rests], np.zeros(1)) == expected

@@ -109,7 +109,11 @@ def _check_known(demonstration: Demonstration, problem: ProblemRecord) -> None:
 
 
 def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool) -> Actions | None:
-    """Return the actions [L-1, m] of a demonstration; None where no actions are needed."""
+    """Return the actions [L-1, m] of a demonstration; None where no actions are needed.
+
+    NaN stands for rows of a tabular MDP that repeat the last state, although no action stays there:
+    the episode has ended, and whatever is recorded is no action.
+    """
     if not needed:
         return None
     names, values = problem.action_names, demonstration.actions
@@ -121,6 +125,10 @@ def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool)
         )
     values = values[: len(demonstration.states) - 1]
     check_finite(values, names, row_namer(demonstration.name, None))
+    if problem.transitions is not None:
+        states, transitions = demonstration.states, problem.transitions
+        ended = transitions.rests(states) & ~transitions.fits(states).any(axis=1)
+        values = np.where(ended[:, None], np.nan, values)
     return Actions(names, values)
 
 
