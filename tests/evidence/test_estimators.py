@@ -13,6 +13,7 @@ from support.weighted_worlds import make_world, pack
 from swerve.evidence.estimators import (
     avoid_probability,
     effective_sample_size,
+    joint_error,
     kl_divergence,
     log_partition,
     log_weights,
@@ -237,3 +238,19 @@ def test_parts_tell_the_rarest_avoiding_apart_from_rounding() -> None:
 def test_nan_weights_are_refused() -> None:
     with pytest.raises(ValueError, match="1 of 2 log-weights are NaN"):
         avoid_probability(np.array([0.0, np.nan]), np.zeros((2, 1), np.uint8), 3)
+
+
+def test_one_group_with_all_the_weight_shows_no_spread() -> None:
+    log_weight = np.where(np.arange(100) < 10, 0.0, -np.inf)
+    bits = pack(np.arange(200).reshape(100, 2) % 3 == 0)
+    group = np.arange(100) // 10
+    assert np.isinf(parts(log_weight, bits, 2, group).variance()).all()
+    assert np.isfinite(parts(log_weight, bits, 2, np.arange(100) % 10).variance()).all()
+
+
+def test_errors_of_the_same_sample_add_up_and_others_add_in_squares() -> None:
+    error = np.array([[1.0, 0.0], [2.0, 0.0], [4.0, 3.0]])
+    np.testing.assert_allclose(joint_error(error, np.array([0, 0, 1])), [5.0, 3.0])
+    np.testing.assert_allclose(joint_error(error[:, 0], np.array([1, 0, 1])), math.hypot(5.0, 2.0))
+    np.testing.assert_allclose(joint_error(error, np.arange(3)), np.linalg.norm(error, axis=0))
+    assert joint_error(np.zeros(0), np.zeros(0, int)) == 0.0

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.synthetic import evidence_of_columns, make_evidence, make_record, make_samples
 
+from swerve.constraints.boxes import Box
 from swerve.evidence import estimators
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import summarise
@@ -148,6 +149,32 @@ class TestFloorAndErrors:
         assert (ratio[:, 2] <= np.minimum(ratio[:, 0], ratio[:, 1]) + 1e-12).all()
         assert (ratio <= 0.0).all()
         assert (ratio >= -math.log(100)).all()
+
+    @pytest.mark.parametrize("method", ["plain", "importance"])
+    def test_what_enters_a_known_constraint_is_no_trajectory(self, method: str) -> None:
+        """Of 400, 100 are allowed, and all of these enter 11: the bound is that of 100."""
+        record = make_record(known=(Box(x=(9.9, 10.0)),))
+        samples = make_samples()
+        samples.total_reward[:] = np.where(np.arange(400) < 100, 0.0, -np.inf)
+        samples.log_probability[:], samples.length[:] = -5.0, 5
+        samples.violations[..., 1] |= 1 << 3
+        evidence = make_evidence(record, samples, method=method)
+        np.testing.assert_allclose(evidence.resolution, 0.01)
+        np.testing.assert_allclose(evidence.log_ratio[:, 11], -math.log(100.0))
+        np.testing.assert_array_equal(evidence.standard_error[:, 11], 1.0)
+        for task in range(3):
+            rows = np.arange(30, 100)
+            assert evidence.resolution_among(task, rows) == pytest.approx(1.0 / 70.0)
+        if method == "plain":
+            assert evidence.hoeffding_error() == estimators.hoeffding_error(100)
+
+    @pytest.mark.parametrize("method", ["plain", "importance"])
+    @pytest.mark.parametrize("beta", [0.5, 0.8])
+    def test_the_share_among_all_is_that_of_the_task(self, method: str, beta: float) -> None:
+        evidence = make_evidence(method=method)
+        evidence = evidence if beta == 0.5 else evidence.at_beta(beta)
+        for task, share in enumerate(evidence.resolution):
+            assert evidence.resolution_among(task, np.arange(400)) == pytest.approx(share)
 
     def test_hoeffding_is_for_equal_weights_alone(self) -> None:
         plain = make_evidence(method="plain", num_trajectories=10_000)

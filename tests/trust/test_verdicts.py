@@ -253,3 +253,11 @@ def test_another_beta_is_named_where_it_is_the_reason() -> None:
     assert not any("sampled for" in text or "sample at" in text for text in near.warnings)
     assert "sampled for beta 0.5" in wording.samples(near.evidence)
     assert "sampled for" not in wording.samples(evidence)
+
+
+def test_equal_tasks_need_as_many_samples_as_one() -> None:
+    """Scores, errors and gaps are three times as large: more tasks of the same samples add none."""
+    evidence = evidence_of_columns(chances(0.52, 0.5, 0.3, 0.1), CELLS)
+    once, three = infer(evidence), infer(evidence.select([0, 0, 0]))
+    assert "raise --samples to about" in once.verdict(0)
+    assert {three.verdict(k) for k in range(3)} == {once.verdict(0)}
