@@ -26,6 +26,7 @@ ROOMS = (
     "swerve",  # the public names: `swerve/__init__.py`
 )
 WITH_JAX = (  # what may import JAX at module level: packages and modules
+    "problem.boundary",
     "problem.mdp",
     "problem.problem",
     "problem.tasks",

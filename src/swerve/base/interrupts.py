@@ -22,6 +22,7 @@ SOON = 0.05  # s after which a dropped interrupt comes again: the callback is ov
 INSIST = 1.0  # s after which an interrupt comes again that other code has caught and forgotten
 
 _lock = threading.Lock()
+_pending: list[None] = []  # an interrupt that is to come again
 _expected: list[None] = []  # interrupts that come again, told from new ones
 _asked: list[None] = []  # interrupts that were taken since `listen`
 _before: list[Any] = []  # what took dropped errors before each block of `heeded`
@@ -29,18 +30,27 @@ _before: list[Any] = []  # what took dropped errors before each block of `heeded
 
 @contextmanager
 def heeded() -> Iterator[None]:
-    """Raise a KeyboardInterrupt anew that a callback has dropped while the block runs."""
+    """Raise a KeyboardInterrupt anew that a callback has dropped while the block runs.
+
+    None comes later than the end of the block.
+    """
     with _lock:
         _before.append(sys.unraisablehook)
         if len(_before) == 1:
             sys.unraisablehook = _take_dropped
+    is_pending = False
     try:
         yield
     finally:
         with _lock:
-            first = _before.pop(0) if len(_before) == 1 else _before.pop()
-            if not _before and sys.unraisablehook is _take_dropped:
-                sys.unraisablehook = first
+            before = _before.pop()
+            if not _before:
+                is_pending = bool(_pending)
+                _pending.clear()
+                if sys.unraisablehook is _take_dropped:
+                    sys.unraisablehook = before
+    if is_pending:
+        raise KeyboardInterrupt
 
 
 def _take_dropped(dropped: Any) -> None:
@@ -56,13 +66,18 @@ def _again(seconds: float) -> None:
 
     A thread of `threading` would not do: its locks may be held where the interrupt came.
     """
-    _thread.start_new_thread(_wait_and_ask, (seconds,))
+    if not _pending:
+        _pending.append(None)
+        _thread.start_new_thread(_wait_and_ask, (seconds,))
 
 
 def _wait_and_ask(seconds: float) -> None:
     time.sleep(seconds)
-    _expected.append(None)
-    _thread.interrupt_main()
+    if _pending:
+        _pending.clear()
+        _expected.append(None)
+        # a signal, since `_thread.interrupt_main` wakes no main thread that sleeps
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
 def listen() -> None:

@@ -1,0 +1,142 @@
+"""Ctrl-C that a callback drops comes again, in the main thread."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+
+from swerve.base.interrupts import heeded
+from swerve.base.progress import progress_bar
+
+
+class Dropping:
+    """Its destructor is interrupted: Python prints the error and goes on."""
+
+    def __del__(self) -> None:
+        raise KeyboardInterrupt
+
+
+def wait_for_interrupt(seconds: float = 20.0) -> None:
+    """Go on for a while, as a run that does not know."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        time.sleep(0.01)
+
+
+@pytest.fixture(autouse=True)
+def default_handler() -> Any:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    hook = sys.unraisablehook
+    yield
+    assert sys.unraisablehook is hook
+    signal.signal(signal.SIGINT, before)
+
+
+def dropped_by_destructor() -> None:
+    Dropping()
+
+
+def dropped_by_collector() -> None:
+    def interrupted(phase: str, info: dict[str, int]) -> None:
+        raise KeyboardInterrupt
+
+    gc.callbacks.append(interrupted)
+    try:
+        gc.collect()
+    finally:
+        gc.callbacks.remove(interrupted)
+
+
+@pytest.mark.parametrize("drop", [dropped_by_destructor, dropped_by_collector])
+def test_a_dropped_interrupt_comes_again(drop: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    def work(seconds: float) -> None:
+        with heeded():
+            drop()
+            wait_for_interrupt(seconds)
+
+    for seconds in (20.0, 0.0):  # it comes soon, or at the end of the block, and never later
+        began = time.monotonic()
+        with pytest.raises(KeyboardInterrupt):
+            work(seconds)
+        assert time.monotonic() - began < 19.0
+    wait_for_interrupt(0.2)
+    assert capsys.readouterr().err == ""
+
+
+def test_long_work_of_the_library_heeds_it() -> None:
+    def work() -> None:
+        with progress_bar("work", 1.0, False):
+            Dropping()
+            wait_for_interrupt()
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert time.monotonic() - began < 19.0
+
+
+def test_other_dropped_errors_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = []
+    monkeypatch.setattr(sys, "unraisablehook", taken.append)
+
+    class Failing:
+        def __del__(self) -> None:
+            raise OverflowError("too much")
+
+    hook = sys.unraisablehook
+    with heeded(), heeded():
+        Failing()
+        assert [type(error.exc_value) for error in taken] == [OverflowError]
+    assert sys.unraisablehook is hook
+    monkeypatch.undo()
+
+
+COMMAND = """
+import sys, time
+from swerve.base.interrupts import listen
+from swerve.cli import app
+
+def command():
+    try:
+        print("go", flush=True)
+        time.sleep(60)
+    except KeyboardInterrupt:
+        {caught}
+
+app.app.command(command)
+listen()
+sys.argv = ["swerve", "command"]
+app.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("caught", "twice"),
+    [
+        ("raise", False),
+        ("time.sleep(60)", False),  # the interrupt is forgotten: it comes again
+        ("raise ImportError('half a module')", False),
+        ("print('no', flush=True); command()", True),  # nothing helps: the second ends it
+    ],
+)
+def test_a_command_ends_with_130_in_one_line(caught: str, twice: bool) -> None:
+    code = COMMAND.format(caught=caught)
+    pipe: Any = subprocess.PIPE
+    run = subprocess.Popen([sys.executable, "-c", code], stdout=pipe, stderr=pipe, text=True)
+    with run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == "go\n"
+        run.send_signal(signal.SIGINT)
+        if twice:
+            assert run.stdout.readline() == "no\n"
+            assert run.stdout.readline() == "go\n"
+            run.send_signal(signal.SIGINT)
+        _, errors = run.communicate(timeout=30)
+    assert run.returncode == 130
+    assert errors == ("" if twice else "interrupted\n")

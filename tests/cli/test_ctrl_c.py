@@ -1,0 +1,87 @@
+"""Ctrl-C at any moment of a command: status 130, one line, nothing half-written, nothing lost."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+from support.command import CONSTRAINT, ROBOT, SOLVER, infer
+
+from swerve.base.files import TEMPORARY
+
+NUM_MOMENTS = 20
+START = "import sys; print('go', flush=True); from swerve.cli.start import main; main()"
+
+
+def started(arguments: list[object]) -> subprocess.Popen[str]:
+    """Start a command, and return when it begins to import Swerve."""
+    command = [sys.executable, "-c", START, *map(str, arguments)]
+    cache = str(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
+    told = os.environ | {
+        "JAX_COMPILATION_CACHE_DIR": cache,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    pipe: Any = subprocess.PIPE
+    run = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=told)
+    assert run.stdout is not None
+    assert run.stdout.readline() == "go\n"
+    return run
+
+
+def completed(arguments: list[object]) -> tuple[str, float]:
+    """Run a command to its end; return what it printed, and for how long it ran [s]."""
+    with started(arguments) as run:
+        began = time.monotonic()
+        told, errors = run.communicate()
+        assert run.returncode == 0, errors
+        return told, time.monotonic() - began
+
+
+@pytest.fixture
+def arguments(tmp_path: Path, demonstrations: list[Path]) -> list[object]:
+    """An inference that learns, samples and resolves, all but its work folder."""
+    (tmp_path / "robot.py").write_text(ROBOT)
+    (tmp_path / "neighbour.py").write_text("MAX_TORQUE = 3.0\n")
+    words = infer(f"{tmp_path}/robot.py:problem", demonstrations, tmp_path)
+    place = words.index("--work")
+    return [*words[:place], *words[place + 2 :], "--solver", SOLVER, "--json", "--work"]
+
+
+@pytest.mark.slow
+def test_at_any_moment(arguments: list[object], tmp_path: Path) -> None:
+    completed([*arguments, tmp_path / "first"])  # with everything still to be compiled
+    expected, seconds = completed([*arguments, tmp_path / "whole"])
+    moments, num_interrupted = random.Random(0), 0
+    for k in range(NUM_MOMENTS):
+        folder = tmp_path / f"work_{k // 4}"
+        with started([*arguments, folder]) as run:
+            time.sleep(moments.uniform(0.0, 0.9 * seconds))
+            run.send_signal(signal.SIGINT)
+            _, errors = run.communicate(timeout=60)
+        assert run.returncode in (0, 130), errors
+        num_interrupted += run.returncode == 130
+        assert "Traceback" not in errors
+        assert "Exception ignored" not in errors
+        if run.returncode == 130:
+            assert "interrupted" in errors.splitlines()[-1]
+        left = [path for path in folder.rglob("*") if TEMPORARY.fullmatch(path.name)]
+        assert left == []
+        if k % 4 == 3:
+            assert completed([*arguments, folder])[0] == expected
+    assert num_interrupted >= NUM_MOMENTS // 3
+    assert f'"index": {CONSTRAINT}' in expected
+
+
+def test_while_importing() -> None:
+    with started(["--version"]) as run:
+        run.send_signal(signal.SIGINT)
+        _, errors = run.communicate(timeout=30)
+    assert (run.returncode, errors) in ((130, "interrupted\n"), (0, ""))
