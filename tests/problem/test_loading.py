@@ -114,10 +114,32 @@ class TestLoadProblem:
         assert load_problem(f"{other}/shapes.py:problem").beta == 0.5
         assert load_problem(f"{folder}/robot.py:problem").beta == 0.5
 
+    def test_a_path_without_its_ending_is_met_with_the_one_that_is_meant(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (folder / "below").mkdir()
+        monkeypatch.chdir(folder / "below")
+        message = r"'\.\./robot:problem': .*: do you mean \.\./robot\.py:problem\?$"
+        with pytest.raises(ValueError, match=message):
+            load_problem("../robot:problem")
+        assert load_problem("../robot.py:problem").beta == 0.5
+
     @pytest.mark.parametrize(
         ("text", "message"),
         [
             ("walker9", "'walker9' names no problem: expected one of car, .*a path/to/file.py:"),
+            (
+                "../robot:problem",
+                r"'\.\./robot' is neither a file that ends in \.py nor",
+            ),
+            ("..robot:problem", "is neither a file that ends in .py nor the name of a module"),
+            ("sub/robot:problem", "neither a file .*, as in path/to/file.py:name or package"),
+            ("/:problem", "'/' is neither a file that ends in .py nor the name of a module"),
+            (":problem", "'' is neither a file that ends in .py nor the name of a module"),
+            ("a..b:problem", "'a..b' is neither a file"),
+            ("robot.py:problem:", "'robot.py:problem' is neither a file"),
+            ("robot.py :problem", "'robot.py ' is neither a file"),
+            ("robot.py:", "robot.py: no such file"),
             ("pendulum?gravity=9", "no parameter 'gravity'; there are max_torque, beta, measure"),
             ("pendulum?beta=hot", "parameter 'beta': expected float, got 'hot'"),
             ("pendulum?max_torque=-1", "pendulum: expected max_torque > 0, got -1.0"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import re
 import sys
 import traceback
 from collections.abc import Iterator
@@ -31,6 +32,7 @@ SHIPPED = {
     "gridworld": "swerve.systems.gridworld:gridworld",
 }
 MOST_BYTES = 2**26  # of a source file
+MODULE = re.compile(r"[^\s./\\:]+(\.[^\s./\\:]+)*")  # names between dots, which are no paths
 MISSING = "missing"  # in place of the hash of a file that cannot be read
 _SEEN: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # hash of each module's file
 
@@ -101,6 +103,12 @@ def load_problem(text: str) -> Any:
         raise ValueError(
             f"{text!r} names no problem: expected one of {', '.join(SHIPPED)}, a "
             "path/to/file.py:name or a package.module:name"
+        )
+    if not path.endswith(".py") and not MODULE.fullmatch(path):
+        meant = f": do you mean {path}.py:{name}?" if Path(f"{path}.py").is_file() else ""
+        raise ValueError(
+            f"{text!r}: {path!r} is neither a file that ends in .py nor the name of a module, as "
+            f"in path/to/file.py:name or package.module:name{meant}"
         )
     module = _load_file(Path(path)) if path.endswith(".py") else _load_module(path, text)
     if not hasattr(module, name):
