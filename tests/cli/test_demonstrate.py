@@ -83,4 +83,4 @@ def test_demonstrate_with_tasks_of_ones_own(robot: str, run: Run, tmp_path: Path
 def test_num_of_demonstrations(robot: str, run: Run) -> None:
     status, _, said = run("demonstrate", robot, "--constraint", 3, "--num", 0, "--out", "x")
     assert status == 1
-    assert "--num: expected at least 1, got 0" in said
+    assert "--num: expected a whole number from 1 to 100,000, got 0" in said

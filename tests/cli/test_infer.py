@@ -224,8 +224,8 @@ class TestBadInput:
         [
             ("--score", "best", "best"),
             ("--method", "magic", "method: expected one of smc, importance, plain, got 'magic'"),
-            ("--samples", 0, "samples: expected a whole number >= 2, got 0"),
-            ("--seed", -1, "seed: expected a whole number >= 0, got -1"),
+            ("--samples", 0, "samples: expected a whole number from 2 to 10,000,000, got 0"),
+            ("--seed", -1, "seed: expected a whole number from 0 to 4,294,967,295, got -1"),
             ("--solver", "grid?num_points", "expected name=value after '?'"),
             ("--report", ".", "is a folder; name a file"),
             ("--report", "/proc/none/x.html", "cannot write in /proc/none"),

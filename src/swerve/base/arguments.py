@@ -10,28 +10,40 @@ from typing import Any
 
 import numpy as np
 
+MOST_SEED = 2**32 - 1  # JAX takes the last 32 bits, so that larger seeds would be smaller ones
+
 
 def fields_of(value: Any) -> dict[str, Any]:
     """Return the fields of a dataclass alone: what is pickled, without what was computed since."""
     return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
 
 
-def whole_number(value: Any, name: str, least: int) -> int:
+def whole_number(value: Any, name: str, least: int, most: int | None = None) -> int:
     """Return a value as an int.
 
     Raises:
-      ValueError: if the value is not a whole number (2.0 and True do not count as one), or less
-        than `least`.
+      ValueError: if the value is not a whole number (2.0 and True do not count as one), less than
+        `least`, or more than `most`.
     """
+    expected = f">= {least}" if most is None else f"from {least} to {most:,}"
     try:
         number = operator.index(value)
     except TypeError:
         number = None
     if number is None or isinstance(value, bool):
-        raise ValueError(f"{name}: expected a whole number >= {least}, got {value!r}")
-    if number < least:
-        raise ValueError(f"{name}: expected a whole number >= {least}, got {number}")
+        raise ValueError(f"{name}: expected a whole number {expected}, got {value!r}")
+    if number < least or (most is not None and number > most):
+        raise ValueError(f"{name}: expected a whole number {expected}, got {number}")
     return number
+
+
+def seed_number(value: Any, name: str = "seed") -> int:
+    """Return a seed as an int.
+
+    Raises:
+      ValueError: if the value is not a whole number from 0 to MOST_SEED.
+    """
+    return whole_number(value, name, 0, MOST_SEED)
 
 
 def number_or_nan(value: Any) -> float:

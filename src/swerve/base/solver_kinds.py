@@ -85,6 +85,12 @@ def kind_named(specification: str) -> SolverKind:
     return KINDS.get(specification.partition("?")[0], UNKNOWN)
 
 
+def check_solver_name(name: str) -> None:
+    """Raise ValueError if no solver has a name."""
+    if name not in KINDS:
+        raise ValueError(f"no solver named {name!r}; there are {', '.join(KINDS)}")
+
+
 def kind_stored(representation: str) -> SolverKind:
     """Return the kind of a solver by the text that evidence stores, such as "PPO(num_steps=1)"."""
     class_name = representation.partition("(")[0]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from swerve.cli.infer import infer
+from swerve.cli.infer import check_report, infer
 from swerve.cli.options import WorkPath, say
 
 PROBLEM = "pendulum?max_torque=10"
@@ -20,6 +20,7 @@ def demo(*, work: WorkPath = None, report: Path = Path("swerve-demo.html")) -> N
     A pendulum is swung to its goals as if nothing were in the way, except that one region is
     avoided: find out which. The demonstrations were made by `swerve demonstrate`.
     """
+    check_report(report)
     files = sorted(FOLDER.glob("demo_*.csv"))
     say(f"{len(files)} demonstrations of {PROBLEM} in {FOLDER}")
     infer(PROBLEM, *files, tasks=FOLDER / "tasks.csv", work=work, report=report)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from swerve.problem.problem import Problem
 
 NUM = 10  # demonstrations, unless --num or --tasks say otherwise
+MOST = 100_000  # demonstrations, a file each
 
 
 @Parameter(name="*")
@@ -51,8 +52,14 @@ class ControlOptions:
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `swerve.optimal_control` that these options ask for."""
+        from swerve.base.arguments import positive_number, whole_number
+
         if self.max_action is not None and not self.max_action > 0.0:
             raise ValueError(f"--max-action: expected a number > 0, got {self.max_action}")
+        if self.num_steps is not None:
+            whole_number(self.num_steps, "--num-steps", 1)
+        if self.goal_tolerance is not None:
+            positive_number(self.goal_tolerance, "--goal-tolerance")
         limits = None if self.max_action is None else (-self.max_action, self.max_action)
         found = {
             "limits": limits,
@@ -90,15 +97,16 @@ def demonstrate(
       solver: Of boltzmann: grid, tabular or soft-value, with settings as in 'grid?num_points=81'.
         [default: tabular if the MDP is, else grid]
     """
+    from swerve.base.arguments import seed_number
     from swerve.base.files import check_writable
     from swerve.base.space import Task
     from swerve.demonstrations.demonstration import new_files, read_tasks, write_demonstrations
 
-    sought = control.arguments()
+    sought, seed = control.arguments(), seed_number(seed, "--seed")
     _check_choices(num, tasks, by, solver, sought)
-    check_writable(out if out.exists() else out.parent)
     job = open_work(problem, None)
     record, forbidden = job.record, job.record.hypotheses.constraint(constraint)
+    check_writable(out if out.exists() else out.parent)
     given = None if tasks is None else read_tasks(tasks, record.space, record.goal_names)
     names = [f"demo_{k:03d}" for k in range(num or NUM)]
     if given is not None:
@@ -117,11 +125,14 @@ def demonstrate(
 def _check_choices(
     num: int | None, tasks: Path | None, by: str, solver: str | None, sought: dict[str, Any]
 ) -> None:
-    """Raise ValueError if options do not go together."""
+    """Raise ValueError if options do not go together, or are out of range."""
+    from swerve.base.arguments import whole_number
+    from swerve.base.solver_kinds import check_solver_name
+
     if tasks is not None and num is not None:
         raise ValueError("give --num or --tasks, not both: there is one demonstration a task")
-    if num is not None and num < 1:
-        raise ValueError(f"--num: expected at least 1, got {num}")
+    if num is not None:
+        whole_number(num, "--num", 1, MOST)
     if by == "boltzmann" and sought:
         raise ValueError(
             "--max-action, --num-steps and --goal-tolerance are for --by optimal-control: leave "
@@ -129,6 +140,8 @@ def _check_choices(
         )
     if by == "optimal-control" and solver is not None:
         raise ValueError("--solver is for --by boltzmann: leave one of them out")
+    if solver is not None:
+        check_solver_name(solver.partition("?")[0])
 
 
 def _boltzmann(

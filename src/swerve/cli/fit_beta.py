@@ -39,10 +39,12 @@ def fit_beta(
       demonstrations: CSV or Parquet files with the states and the actions.
       confidence: Of the interval.
     """
+    from swerve.fitting.beta import check_confidence
     from swerve.fitting.beta import fit_beta as fit
     from swerve.inference.ranking import Ranking
     from swerve.trust.doubts import data_warnings
 
+    check_confidence(confidence)
     job = open_work(problem, work, how)
     found = read_files(job, demonstrations, tasks)
     if not found:

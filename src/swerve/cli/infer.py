@@ -74,7 +74,7 @@ def infer(
     from swerve.answer import infer as infer_constraints
 
     if report is not None:
-        _check_report(report)
+        check_report(report)
     if not resolve_seconds > 0.0:
         raise ValueError(
             f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: to work out "
@@ -96,7 +96,7 @@ def infer(
     _show(result, picks, report, as_json)
 
 
-def _check_report(report: Path) -> None:
+def check_report(report: Path) -> None:
     """Make sure, before the work, that the report can be written."""
     from swerve.base.files import check_writable
 

@@ -84,10 +84,10 @@ def reproduce(
 
 def _check(name: str, out: Path | None, data: Path | None, seed: int, as_json: bool) -> None:
     """Make sure, before the work, that options go together and files are where they should be."""
-    from swerve.base.arguments import whole_number
+    from swerve.base.arguments import seed_number
     from swerve.base.files import check_writable
 
-    whole_number(seed, "--seed", 0)
+    seed_number(seed, "--seed")
     if data is not None and not data.exists():
         raise FileNotFoundError(f"--data {data}: no such file; check the path")
     if out is not None:

@@ -14,13 +14,11 @@ from swerve.base.decimals import decimal_number, whole_decimal
 
 def convert(kind: Any, tokens: Any) -> Any:
     """Convert the texts of an option to its type; a wrong text ends the command."""
-    try:
-        return cyclopts.convert(kind, tokens, converter=_convert_one)
-    except CoercionError as error:
-        if dict[str, float] not in (kind, *get_args(kind)) or error.msg is not None:
-            raise
-        message = "expected the name of a state and a number, as in --margin.x 0.05"
-        raise CoercionError(msg=message, token=error.token) from None
+    if dict[str, float] in (kind, *get_args(kind)):  # with a name, its number comes alone
+        got = tokens[0].value
+        message = f"expected a state and its margin, as in --margin.x 0.05, got {got!r} alone"
+        raise CoercionError(msg=message)
+    return cyclopts.convert(kind, tokens, converter=_convert_one)
 
 
 def convert_limit(kind: Any, tokens: Any) -> float:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.base.arguments import whole_number
+from swerve.base.arguments import seed_number
 from swerve.base.progress import progress_bar
 from swerve.base.solver_kinds import kind_named, solver_names
 from swerve.base.space import Task
@@ -79,7 +79,7 @@ def demonstrate(
       ValueError: if a start lies inside the constraint, a task cannot be done without entering, or
         the solver or the nominal is of another kind.
     """
-    seed = whole_number(seed, "seed", 0)
+    seed = seed_number(seed)
     batch, labels = named_tasks(problem, constraint, tasks, names)
     constrained = dataclasses.replace(problem, known=(*problem.known, constraint))
     sources = _sources(constrained, solver, nominal, seed, progress)

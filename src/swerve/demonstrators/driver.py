@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.base.arguments import instance, whole_number
+from swerve.base.arguments import instance, seed_number, whole_number
 from swerve.base.space import Task
 from swerve.constraints.base import violates
 from swerve.constraints.boxes import Box
@@ -115,7 +115,7 @@ def drives(
         again and again.
     """
     instance(mdp, Car, "mdp", "drivers drive swerve.Car()")
-    num, seed = whole_number(num, "num", 1), whole_number(seed, "seed", 0)
+    num, seed = whole_number(num, "num", 1), seed_number(seed)
     if obstacle is not None:
         _check_obstacle(obstacle)
     step, task = jax.jit(mdp.dynamics), Task(np.array(START), np.zeros(0))

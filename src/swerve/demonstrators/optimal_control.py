@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swerve.base.arguments import whole_number
+from swerve.base.arguments import seed_number
 from swerve.base.progress import progress_bar
 from swerve.base.space import Task
 from swerve.constraints.base import Constraint
@@ -101,7 +101,7 @@ def optimal_control(
       ValueError: if a start lies inside the constraint, or an argument is of the wrong kind or
         range.
     """
-    seed = whole_number(seed, "seed", 0)
+    seed = seed_number(seed)
     batch, labels = named_tasks(problem, constraint, tasks, names)
     settings = Search(limits, num_steps, num_guesses, goal_tolerance)
     search = PathSearch(problem, constraint, settings)

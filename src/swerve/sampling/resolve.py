@@ -137,13 +137,15 @@ def _ratio(
     constraint = problem.hypotheses.constraint(index)
     narrower = dataclasses.replace(problem, known=[*problem.known, constraint])
     log_ratio, error = np.zeros(evidence.num_tasks), np.full(evidence.num_tasks, np.inf)
+    # errors of hypotheses count as independent, so none has the random numbers of another
+    own_seed = int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
     has_begun = False  # the first estimate is made however late it is
     for adapted in solver.adapted(nominal, narrower, seed):
         for k in np.flatnonzero(np.isinf(error)).tolist():
             if has_begun and monotonic() >= deadline:
                 return log_ratio, np.where(np.isinf(error), np.nan, error)
             has_begun = True
-            avoiding = _settled(adapted, evidence.select([k]).tasks, seed)
+            avoiding = _settled(adapted, evidence.select([k]).tasks, own_seed)
             if avoiding is None:
                 continue
             found = avoiding.log_partition[0] - evidence.log_partition[k]

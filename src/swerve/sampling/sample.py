@@ -20,7 +20,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from swerve.base.arguments import positive_number, whole_number
+from swerve.base.arguments import positive_number, seed_number, whole_number
 from swerve.base.progress import progress_bar
 from swerve.base.solver_kinds import kind_named, solver_names
 from swerve.base.space import Task
@@ -147,7 +147,7 @@ def _answer_each(
             f"method: the {nominal.solver.name} solver gives exact answers, so there is nothing to "
             f"sample by {method!r}: leave method out"
         )
-    seed = whole_number(seed, "seed", 0)
+    seed = seed_number(seed)
     batch = checked_tasks(nominal.problem, tasks)
     record = nominal.problem.record
     with progress_bar("working out", len(batch.start), progress) as advance:
@@ -174,7 +174,7 @@ def _sample_each(
     num_trajectories = whole_number(num_trajectories, "num_trajectories", 2)
     if method in RESAMPLED:
         num_trajectories = math.prod(whole_islands(num_trajectories))
-    seed = whole_number(seed, "seed", 0)
+    seed = seed_number(seed)
     _check_memory(len(batch.start), num_trajectories, len(nominal.problem.hypotheses))
     goals, goal_of_task = np.unique(batch.goal, axis=0, return_inverse=True)
     total = (len(batch.start) + len(goals)) * num_trajectories  # a goal costs as much as a task

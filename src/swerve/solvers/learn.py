@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from swerve.base import schema, store
-from swerve.base.arguments import instance, whole_number
-from swerve.base.solver_kinds import KINDS, suggested_solver
+from swerve.base.arguments import instance, seed_number
+from swerve.base.solver_kinds import KINDS, check_solver_name, suggested_solver
 from swerve.base.space import Task
 from swerve.base.specification import Specification, build
 from swerve.problem.problem import Problem
@@ -78,7 +78,7 @@ def learn(
             "solver: expected a name such as 'grid', or an object such as swerve.PPO(), got "
             f"{chosen!r}: a solver of your own inherits from swerve.solvers.base.Solver"
         )
-    seed = whole_number(seed, "seed", 0)
+    seed = seed_number(seed)
     path = Path(checkpoint) if checkpoint is not None else None
     batch = None if tasks is None else checked_tasks(problem, tasks)
     return chosen.learn(problem, tasks=batch, seed=seed, progress=progress, checkpoint=path)
@@ -91,8 +91,7 @@ def resolve_solver(text: str) -> Solver[Any]:
       ValueError: if no solver has this name, or the solver has no such setting.
     """
     specification = Specification.parse(text)
-    if specification.target not in KINDS:
-        raise ValueError(f"no solver named {specification.target!r}; there are {', '.join(KINDS)}")
+    check_solver_name(specification.target)
     return build(_solver_class(specification.target), specification, text)
 
 

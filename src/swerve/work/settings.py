@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from swerve.base.arguments import whole_number
-from swerve.base.solver_kinds import kind_named, solver_names
+from swerve.base.arguments import seed_number, whole_number
+from swerve.base.solver_kinds import check_solver_name, kind_named, solver_names
 from swerve.base.specification import Specification
 from swerve.evidence.samples import EXACT, METHODS, NUM_KEPT
 
 NUM_TRAJECTORIES = 10_000  # default N a task: resolves probabilities down to about 1e-4
+MOST_TRAJECTORIES = 10_000_000  # N a task that memory is asked for: more is a slip of the keyboard
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +37,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.solver is not None:
-            object.__setattr__(self, "solver", str(Specification.parse(self.solver)))
+            specification = Specification.parse(self.solver)
+            check_solver_name(specification.target)
+            object.__setattr__(self, "solver", str(specification))
             self._check_method_suits(self.solver)
         is_exact = self.solver is not None and kind_named(self.solver).is_exact
         if self.method not in (None, *METHODS, *([EXACT] if is_exact else [])):
@@ -47,9 +50,9 @@ class Settings:
                 f"{self.num_trajectories} out"
             )
         if self.num_trajectories is not None:
-            whole_number(self.num_trajectories, "samples", 2)
+            whole_number(self.num_trajectories, "samples", 2, MOST_TRAJECTORIES)
         if self.seed is not None:
-            whole_number(self.seed, "seed", 0)
+            seed_number(self.seed)
 
     def _check_method_suits(self, solver: str) -> None:
         """Raise ValueError if a solver cannot be sampled by the method."""
