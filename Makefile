@@ -8,7 +8,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo format check test-fast test docs benchmark lock clean FORCE
+.PHONY: help demo format check test-fast test fuzz verify docs benchmark lock clean FORCE
 
 # `make test PYTHON=/path/to/python3` chooses another interpreter.
 ifndef PYTHON
@@ -22,6 +22,10 @@ BIN := $(VENV)/bin
 PYTEST_ARGS ?=
 # Number of processes that share the tests; each process takes about 2 GB of memory.
 TEST_PROCESSES ?= 2
+# Number of inputs that `make fuzz` tries.
+FUZZ_INPUTS ?= 1000000
+# Number of random problems that `make verify` compares with brute force.
+VERIFY_PROBLEMS ?= 5000
 # Arguments for `swerve demo`.
 DEMO_ARGS ?=
 # Arguments for the resolver: `make lock LOCK_ARGS=--upgrade` takes the newest releases.
@@ -32,7 +36,7 @@ LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
 # Folders and files that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
 # tests learn or sample. The rest takes about 170 s of processor time, shared by the processes.
-SLOW_TESTS := benchmarks cli demonstrators fitting monitoring reproduce sampling solvers whole work \
+SLOW_TESTS := benchmarks brute_force cli demonstrators fitting monitoring reproduce sampling solvers whole work \
 	evidence/test_at_beta.py evidence/test_stored_before.py
 
 # Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.
@@ -62,6 +66,13 @@ test-fast: $(VENV)/dev.stamp  ## Run the tests that are quick, in under two minu
 
 test: $(VENV)/dev.stamp  ## Check style, types, documentation and behaviour; all failures are shown
 	@$(BEGIN) $(STYLE_AND_TYPES) $(DOCS) $(PYTEST) $(PYTEST_ARGS); $(END)
+
+fuzz: $(VENV)/dev.stamp  ## Try a million inputs that others might send: files, streams and settings
+	@PYTHONPATH=tests $(BIN)/python -m fuzz --inputs $(FUZZ_INPUTS) --processes $(TEST_PROCESSES)
+
+verify: $(VENV)/dev.stamp  ## Compare every public number with brute force on 5,000 random problems
+	@SWERVE_BRUTE_FORCE=$(VERIFY_PROBLEMS) $(BIN)/python -m pytest tests/brute_force --verbose \
+		--numprocesses $(TEST_PROCESSES) --dist load $(PYTEST_ARGS)
 
 docs: $(VENV)/dev.stamp  ## Build the documentation into site/; a warning is an error
 	@$(BEGIN) $(DOCS) $(END)
