@@ -30,6 +30,7 @@ from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.problem.boundary import actions_of
 from swerve.problem.mdp import MDP, check_mdp
 from swerve.problem.record import MEASURES, ProblemRecord, digest
+from swerve.problem.repeatable import check_predicates, check_repeatable
 
 NARROW = {"float64": "float32", "int64": "int32", "uint64": "uint32"}
 OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # module of a user's file, with the path's hash
@@ -74,6 +75,7 @@ class Problem:
         if not isinstance(self.mdp, MDP):
             raise ValueError(f"mdp: expected a swerve.MDP, got {self.mdp!r}")
         check_mdp(self.mdp)
+        check_repeatable(self.mdp, _mdp_digest(self.mdp))
         space, action_names = self.mdp.space, tuple(self.mdp.action_names)
         if self.between_states is None:
             object.__setattr__(self, "between_states", not space.is_lattice)
@@ -87,6 +89,10 @@ class Problem:
         _check_actions(self.hypotheses, self.mdp)
         known = check_constraints(self.known, space, action_names, "known")
         object.__setattr__(self, "known", known)
+        if self.hypotheses.needs_code:
+            judged = map(self.hypotheses.constraint, range(len(self.hypotheses)))
+            check_predicates(judged, space, "hypotheses")
+        check_predicates(known, space, "known")
 
     @cached_property
     def compiled(self) -> dict[Any, Callable[..., Any]]:

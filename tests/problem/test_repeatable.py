@@ -1,0 +1,156 @@
+"""Code that does not give the same answer twice is refused when a problem is made."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import time
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from support.small_mdps import Bare, Height
+
+import swerve
+from swerve import Box, Predicate, Problem, Union, grid
+from swerve.problem.repeatable import check_repeatable
+
+CELLS = grid(speed=(-1.0, 3.0, 4))
+counter = itertools.count(1)
+generator = np.random.default_rng(0)
+
+
+class Counting(Bare):
+    """Its dynamics depend on how often they were called."""
+
+    def dynamics(self, state, action):
+        return state + 0.001 * next(counter)
+
+
+class Drawing(Bare):
+    """Its dynamics depend on a random number, which vanishes at the centre of the bounds."""
+
+    def dynamics(self, state, action):
+        return state + 0.01 * generator.normal() * (state - jnp.array([jnp.pi, 1.0]))
+
+
+class Paying(Bare):
+    """Its reward is random."""
+
+    def reward(self, state, action, next_state, goal):
+        return -random.random() * jnp.sum(action)
+
+
+class Ending(Bare):
+    """Its episodes end at random."""
+
+    def terminated(self, state, goal):
+        return jnp.sum(state) > random.choice([-1e9, 1e9])
+
+
+class Clock(Bare):
+    """Its terminal reward depends on the time of day."""
+
+    def terminal_reward(self, state, goal):
+        return jnp.sum(state) - float(time.perf_counter_ns() % 1_000_000_007)
+
+
+class Tracing(Bare):
+    """Its dynamics are others while JAX traces them: each time others."""
+
+    def dynamics(self, state, action):
+        try:
+            float(state[0])
+        except Exception:
+            return state + next(counter)
+        return state + action
+
+
+class Two(Bare):
+    """Its dynamics are others, always the same, while JAX traces them."""
+
+    def dynamics(self, state, action):
+        try:
+            float(state[0])
+        except Exception:
+            return state + 2.0 * action
+        return state + action
+
+
+@pytest.mark.parametrize(
+    ("mdp", "text"),
+    [
+        (Counting(), "Counting.dynamics: called twice with the same arguments, it returned"),
+        (Drawing(), "Drawing.dynamics: called twice with the same arguments, it returned"),
+        (Paying(), "Paying.reward: called twice with the same arguments, it returned"),
+        (Ending(), "Ending.terminated: "),
+        (Clock(), "Clock.terminal_reward: called twice with the same arguments, it returned"),
+        (Tracing(), "Tracing.dynamics: traced twice by JAX, it gave two different programs"),
+        (Two(), r"Two.dynamics: it returned \[.*\], and traced by JAX \["),
+    ],
+)
+def test_methods_that_depend_on_more_than_their_arguments(mdp: Bare, text: str) -> None:
+    random.seed(3)
+    remedy = ".*expected a function of its arguments alone. Take counters, random numbers"
+    with pytest.raises(ValueError, match=text + remedy):
+        Problem(mdp, CELLS)
+
+
+class Table(Bare):
+    """Its dynamics keep a table that they made at the first call, and start anew from a seed."""
+
+    def dynamics(self, state, action):
+        if not hasattr(Table, "known"):
+            Table.known = np.random.default_rng(0).normal(size=2)  # pyright: ignore
+        noise = np.random.default_rng(1).normal(size=2)
+        return state + action + Table.known + jnp.asarray(noise, jnp.float32)  # pyright: ignore
+
+
+def test_code_that_is_the_same_each_time_is_taken() -> None:
+    for mdp in (Bare(), Height(), Table(), swerve.Pendulum(), swerve.Car(), swerve.Walker()):
+        Problem(mdp, grid(**{mdp.state_names[1]: (-0.5, 0.5, 2)}))
+    for name in ("pendulum", "car", "double-pendulum", "gridworld"):
+        swerve.load_problem(name)
+
+
+def test_an_mdp_is_checked_once() -> None:
+    calls = []
+
+    class Called(Bare):
+        def dynamics(self, state, action):
+            calls.append(1)
+            return state + action
+
+    check_repeatable(Called(), "a")
+    num = len(calls)
+    check_repeatable(Called(), "a")
+    assert len(calls) == num > 0
+    check_repeatable(Called(push=2.0), "b")
+    assert len(calls) > num
+
+
+def of_chance(states):
+    return states[..., 0] > random.random() * 6.0
+
+
+def of_kind(states):
+    return states[..., 0] > (1.0 if isinstance(states, np.ndarray) else 5.0)
+
+
+def of_numpy(states):
+    return np.asarray(states)[..., 0] > 1.0
+
+
+@pytest.mark.parametrize("wrap", [lambda p: p, lambda p: Union("both", [p, Box(speed=(0, 1))])])
+def test_predicates_that_judge_in_two_ways(wrap) -> None:
+    chance, kind = wrap(Predicate("chance", of_chance)), wrap(Predicate("kind", of_kind))
+    with pytest.raises(
+        ValueError, match=r"hypotheses: 'chance', asked twice, judged .* of 256 states"
+    ):
+        Problem(Bare(), [Box(speed=(0.0, 1.0)), chance])
+    with pytest.raises(ValueError, match="known: 'chance', asked twice, judged"):
+        Problem(Bare(), CELLS, known=[chance])
+    with pytest.raises(ValueError, match=r"'kind' judged .* as a NumPy array and as a JAX array"):
+        Problem(Bare(), [kind])
+    for function in (of_numpy, lambda states: states[..., 1] > 0.1):
+        Problem(Bare(), [wrap(Predicate("fine", function))])
