@@ -13,6 +13,7 @@ from support.small_mdps import ANGLES, Bare
 
 import swerve
 from swerve import MDP, Problem, Task
+from swerve.problem.tasks import checked_tasks
 
 STATE = jnp.array([1.0, 0.5], jnp.float32)
 ACTION = jnp.array([0.5, 0.0], jnp.float32)
@@ -132,7 +133,7 @@ def test_methods_of_any_origin_are_cast() -> None:
         ({"reward": lambda self, *_: "much"}, r"Given\.reward: expected numbers, got 'much'"),
         (
             {"reward": lambda self, *_: jax.random.key(0)},
-            "expected numbers, got key",
+            r"Given\.reward: expected numbers, got key",
         ),
     ],
 )
@@ -183,3 +184,47 @@ def test_whole_numbers_throughout_give_the_sum_over_all_sequences(solver: str) -
     evidence = swerve.sample(swerve.learn(problem, solver), Task([0], [0]), 400)
     tolerance = 1e-6 if evidence.is_exact else 5.0 * evidence.log_partition_error[0] + 1e-3
     assert evidence.log_partition[0] == pytest.approx(3 * np.log(1 + 2 / np.e), abs=tolerance)
+
+
+COMPLEX = np.array([0.5j, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: made(bounds=((0.0, 1.0j), (0.0, 1.0))), r"Given\.bounds: expected real numbers"),
+        (lambda: made(dt=1.0j), r"Given\.dt: expected a positive number of seconds, got 1j"),
+        (lambda: made(dt="fast"), r"Given\.dt: expected a positive number of seconds, got fast"),
+        (lambda: made(bounds=(("a", "b"), (0.0, 1.0))), r"Given\.bounds: expected numbers, got"),
+    ],
+)
+def test_attributes_are_real_numbers(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        Problem(make(), ANGLES)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: checked_tasks(Problem(Bare(), ANGLES), Task(COMPLEX, COMPLEX)),
+            "tasks: start: ex",
+        ),
+        (
+            lambda: Task.stack([Task([0.5j, 0.0], COMPLEX)]),
+            "start of a task: expected real numbers",
+        ),
+        (lambda: Task.stack([Task([0.5, 0.0], COMPLEX)]), "goal of a task: expected real numbers"),
+        (lambda: Task.stack([Task(["a", 0.0], [0.0])]), "start of a task: expected numbers, got"),
+        (
+            lambda: swerve.Demonstration("d", np.stack([COMPLEX, COMPLEX]), Task([0, 0], [0, 0])),
+            "d: states: expected real numbers",
+        ),
+        (lambda: swerve.tabular([[0, 0]], COMPLEX[:1], num_steps=1), "rewards: expected real num"),
+        (lambda: swerve.Box(x=(np.complex128(0.5j), 1.0)), "Box: .*, got "),
+        (lambda: Problem(Bare(), ANGLES, beta=np.complex64(1.0 + 1.0j)), "beta: expected a finite"),
+    ],
+)
+def test_complex_numbers_are_refused_and_never_cut(call: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -46,10 +46,26 @@ def seed_number(value: Any, name: str = "seed") -> int:
     return whole_number(value, name, 0, MOST_SEED)
 
 
-def number_or_nan(value: Any) -> float:
-    """Return a value as a float; NaN if the value is not a number, such as text, True or a list."""
+def real_numbers(values: Any, name: str) -> np.ndarray:
+    """Return real numbers of any kind and shape as float64.
+
+    Raises:
+      ValueError: if the values are complex, or not made of numbers.
+    """
     try:
-        return math.nan if isinstance(value, str | bool) or np.ndim(value) else float(value)
+        array = np.asarray(values)
+        if not np.iscomplexobj(array):
+            return array.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected numbers, got {values!r}") from error
+    raise ValueError(f"{name}: expected real numbers, got {values!r}")
+
+
+def number_or_nan(value: Any) -> float:
+    """Return a value as a float; NaN if the value is no real number, such as text, True, a list."""
+    try:
+        is_other = isinstance(value, str | bool) or np.ndim(value) or np.iscomplexobj(value)
+        return math.nan if is_other else float(value)
     except (TypeError, ValueError, OverflowError):
         return math.nan
 

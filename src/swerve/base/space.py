@@ -5,7 +5,7 @@ An angle theta stands for theta + 2 pi k, so the difference between two angles i
     difference(a, b) = d - 2 pi round(d / (2 pi)),    d = b - a,
 
 and a straight segment between two states follows that arc. Everything here works alike on NumPy
-and JAX arrays, and imports neither JAX nor any other module of Swerve.
+and JAX arrays, and imports no JAX.
 
 Shapes: n state dimensions, ... any batch dimensions.
 """
@@ -19,6 +19,8 @@ from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+
+from swerve.base.arguments import real_numbers
 
 TWO_PI = 2.0 * math.pi
 LATTICE_EXTENT = 250.0  # lattice steps: largest unit of distance, see `StateSpace.unit`
@@ -47,8 +49,8 @@ class Task(NamedTuple):
             if not isinstance(task, Task):
                 raise ValueError(f"expected swerve.Task(start, goal), got {task!r}")
         return cls(
-            np.stack([np.asarray(task.start, float) for task in tasks]),
-            np.stack([np.asarray(task.goal, float) for task in tasks]),
+            np.stack([real_numbers(task.start, "start of a task") for task in tasks]),
+            np.stack([real_numbers(task.goal, "goal of a task") for task in tasks]),
         )
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from swerve.base.arguments import real_numbers
 from swerve.base.space import MAX_HALF_EXTENTS, MAX_TURNS, TWO_PI, StateSpace, Task, Transitions
 
 START_TOLERANCE = 1e-3
@@ -107,9 +108,10 @@ def shaped(value: object, shape: Sequence[int | None], what: str, where: str) ->
     """Return a value as float64 after checking its shape; None in `shape` stands for any length.
 
     Raises:
-      ValueError: if the value has another shape; `what` and `where` are for the message.
+      ValueError: if the value is not made of real numbers, or has another shape; `what` and `where`
+        are for the message.
     """
-    array = np.asarray(value, dtype=float)
+    array = real_numbers(value, f"{where}: {what}")
     fits = len(shape) == array.ndim and all(
         size is None or size == found for size, found in zip(shape, array.shape, strict=True)
     )

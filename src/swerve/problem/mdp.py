@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from swerve.base.arguments import whole_number
+from swerve.base.arguments import number_or_nan, real_numbers, whole_number
 from swerve.base.space import StateSpace, Task
 from swerve.problem.boundary import BoundaryError, actions_of, cast_methods
 from swerve.problem.forked import check_process
@@ -195,7 +195,8 @@ def check_mdp(mdp: MDP) -> None:
         )
     if not np.isfinite(actions).all():
         raise ValueError(f"{name}.actions: expected finite numbers, got {actions.tolist()}")
-    if not (math.isfinite(mdp.dt) and mdp.dt > 0):
+    real_numbers(mdp.bounds, f"{name}.bounds")
+    if not number_or_nan(mdp.dt) > 0.0 or math.isinf(mdp.dt):
         raise ValueError(f"{name}.dt: expected a positive number of seconds, got {mdp.dt}")
     whole_number(mdp.num_steps, f"{name}.num_steps", 1)
     state = jnp.asarray(mdp.space.bounds.mean(axis=1), jnp.float32)

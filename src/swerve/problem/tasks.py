@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from swerve.base.arguments import instance, seed_number
+from swerve.base.arguments import instance, real_numbers, seed_number
 from swerve.base.space import Task
 from swerve.constraints.base import Constraint
 from swerve.demonstrations.checks import check_bounds
@@ -120,8 +120,8 @@ def checked_tasks(problem: Problem, tasks: Task | Iterable[Task]) -> Task:
         raise ValueError(f"tasks: expected swerve.Task(start, goal), got {tasks!r}")
     batch = tasks if isinstance(tasks, Task) else Task.stack(list(tasks))
     # -0 becomes 0: tasks that are equal are sampled from equal random numbers
-    start = np.atleast_2d(np.asarray(batch.start, np.float64)) + 0.0
-    goal = np.asarray(batch.goal, np.float64).reshape(len(start), -1) + 0.0
+    start = np.atleast_2d(real_numbers(batch.start, "tasks: start")) + 0.0
+    goal = real_numbers(batch.goal, "tasks: goal").reshape(len(start), -1) + 0.0
     for label, values, names in (
         ("start", start, mdp.state_names),
         ("goal", goal, mdp.goal_names),

@@ -16,6 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from swerve.base.arguments import real_numbers
 from swerve.base.space import StateSpace, Task, Transitions, lattice_number, nearest
 from swerve.problem.mdp import MDP
 
@@ -167,7 +168,7 @@ def tabular(
     """
     successors = _successors(transitions)
     num_states, num_actions = successors.shape
-    rewards = np.asarray(rewards, float)
+    rewards = real_numbers(rewards, "rewards")
     if rewards.shape == (num_states,):
         rewards = np.repeat(rewards[:, None], num_actions, axis=1)
     if terminal_rewards is None:
@@ -187,7 +188,7 @@ def tabular(
 
 
 def _checked_rewards(name: str, rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
-    rewards = np.asarray(rewards, float)
+    rewards = real_numbers(rewards, name)
     if rewards.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {rewards.shape}")
     wrong = np.argwhere(np.isnan(rewards) | (rewards == np.inf))
