@@ -9,8 +9,11 @@ Its answer is a line of JSON on the standard output, then the numbers, column by
     {"found": [names], "types": {name: type}, "nulls": {name: row}, "names": [names], "rows": count,
      "labels": [texts]},   or   {"error": text}
 
+The process ends when its input ends, and where a file takes too much memory or makes polars panic:
+what is left of such a file would stand in the way of the next one.
+
 `types` are those of wanted columns that cannot be read, `nulls` the first row, counted from 0, of
-wanted columns in which the value is missing. The process ends when its input ends.
+wanted columns in which the value is missing.
 """
 
 import contextlib
@@ -39,7 +42,7 @@ def main() -> None:
         _limit(len(content))
         try:
             answer, numbers = _read(pl, content, request["numbers"], request["label"])
-        except BaseException as error:  # a panic of polars is no Exception
+        except pl.exceptions.PolarsError as error:
             answer, numbers = {"error": f"{type(error).__name__}: {error}"}, b""
         sink.write(json.dumps(answer).encode() + b"\n" + numbers)
         sink.flush()
