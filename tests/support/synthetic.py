@@ -111,9 +111,10 @@ def evidence_of_columns(
 def make_demonstration(
     task: int = 0, name: str = "demo", x: float | None = None, num_states: int = 5
 ) -> Demonstration:
-    """A demonstration of one of TASKS that rests at its start, after it has been at `x`."""
+    """A demonstration of one of TASKS that stays near its start, after it has been at `x`."""
     start, goal = TASKS.start[task], TASKS.goal[task]
     states = np.repeat(start[None], num_states, axis=0)
+    states[-1, 0] += 0.01
     if x is not None:
         states[1, 1] = x
     return Demonstration(name, states, Task(start, goal))

@@ -16,7 +16,7 @@ from support.synthetic import (
 
 from swerve.answer import infer
 from swerve.base.phrases import some_names
-from swerve.base.space import Task
+from swerve.base.space import TWO_PI, Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import grid
@@ -239,3 +239,21 @@ def test_rows_far_apart_and_jumps_are_told_without_a_clock(evidence: Evidence) -
     text = doubts(item, untimed(evidence), 1)["move"]
     assert text.startswith("jumps by 3.48 in x from row 100 to row 101, where a move of the model ")
     assert "and the other rows by 0.0151 as a rule: a glitch or a gap of the recording?" in text
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_one_that_never_moves(evidence: Evidence, noise: float) -> None:
+    """Not by more than a thousandth of the extent, which is noise."""
+    item = straight(TASKS.goal[1])
+    generator = np.random.default_rng(0)
+    states = TASKS.start[1] + noise * generator.uniform(-1.0, 1.0, (11, 2)) * [TWO_PI, 10.0]
+    still = Demonstration("still", states, Task(states[0], states[0]), item.times)
+    text = doubts(still, evidence, 1)["still"]
+    assert text.startswith("never moves: all of its 11 rows are at theta = 3")
+    assert "x = 5" in text
+    assert text.endswith("not running? It avoids every hypothesis but those that it is in")
+    turned = dataclasses.replace(still, states=still.states + np.array([TWO_PI, 0.0]))
+    assert "still" in doubts(turned, evidence, 1)
+    assert "still" not in doubts(item, evidence, 1)
+    slow = dataclasses.replace(item, states=TASKS.start[1] + 0.02 * np.eye(11, 2))
+    assert "still" not in doubts(slow, evidence, 1)

@@ -15,11 +15,12 @@ import numpy as np
 from swerve.base.phrases import some_names
 from swerve.base.solver_kinds import kind_stored
 from swerve.constraints.base import violates
-from swerve.demonstrations.checks import COARSE, FAST, JITTER, TIME_SLACK
+from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
 from swerve.trust import bounds, verdicts
+from swerve.trust.hypothesis_doubts import hypothesis_warnings
 from swerve.trust.impossible import against_dynamics
 
 FAR_END = 0.05  # share of a state's extent: a demonstration that ends nearer its goal has arrived
@@ -36,6 +37,9 @@ def warnings(inference: Ranking) -> tuple[str, ...]:
         *_of_samples(inference),
         *(() if inference.evidence.is_exact else bounds.hardly_avoided(inference)),
         *_grazed(inference),
+        *hypothesis_warnings(
+            inference.evidence.problem.hypotheses, inference.evidence.problem.space
+        ),
         *_doubts(inference),
     )
 
@@ -55,6 +59,7 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
     is_known = evidence.is_exact or not evidence.has_too_few[task]
     problem, motion = evidence.problem, evidence.motion
     found = {f"columns: {note}": note for note in demonstration.notes}
+    found |= {"still": _still(demonstration, evidence)}
     found |= {"end": _odd_end(demonstration, evidence, task) if is_known else ""}
     if problem.is_timed:
         found |= {
@@ -69,6 +74,18 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
         text = against_dynamics(demonstration, problem, motion)
         found[f"dynamics: {text.rpartition('. ')[2]}"] = text  # each cause is told by itself
     return {kind: text for kind, text in found.items() if text}
+
+
+def _still(demonstration: Demonstration, evidence: Evidence) -> str:
+    states, space = demonstration.states, evidence.problem.space
+    moved = np.abs(space.difference(states[:1], states)).max(axis=0)
+    if (moved > START_TOLERANCE * space.unit).any():
+        return ""
+    place = ", ".join(f"{n} = {x:.4g}" for n, x in zip(space.names, states[0], strict=True))
+    return (
+        f"never moves: all of its {len(states)} rows are at {place}. Another column, or a "
+        "recording that was not running? It avoids every hypothesis but those that it is in"
+    )
 
 
 def _odd_end(demonstration: Demonstration, evidence: Evidence, task: int) -> str:

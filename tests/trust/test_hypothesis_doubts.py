@@ -1,0 +1,150 @@
+"""Hypotheses that are the same set, or lie outside the bounds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.synthetic import SPACE, make_evidence, make_record
+
+import swerve
+from swerve import (
+    ActionBox,
+    Ball,
+    Box,
+    Constraint,
+    HalfSpace,
+    Predicate,
+    StateAction,
+    Union,
+    infer,
+)
+from swerve.base.space import TWO_PI
+from swerve.hypotheses.base import ConstraintHypotheses
+from swerve.hypotheses.grid import grid
+from swerve.hypotheses.windows import windows
+from swerve.trust.hypothesis_doubts import hypothesis_warnings
+
+INF = math.inf
+
+
+def said(*constraints: Constraint) -> list[str]:
+    return list(hypothesis_warnings(ConstraintHypotheses(constraints), SPACE))
+
+
+def right(states):
+    return states[..., 1] > 5.0
+
+
+LEFT = Box(x=(0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (Box(x=(1.0, 2.0)), Box(x=(1.0, 2.0))),
+        (Box(x=(0.1 + 0.2, 2.0)), Box(x=(0.3, 2.0))),
+        (Box(x=(1.0, 2.0), theta=(0.0, TWO_PI)), Box(x=(1.0, 2.0))),
+        (Box(x=(1.0, 2.0), theta=(-INF, INF)), Box(x=(1.0, 2.0))),
+        (Box(theta=(1.0, 2.0)), Box(theta=(1.0 + TWO_PI, 2.0 + TWO_PI))),
+        (Box(theta=(-0.5, 0.5)), Box(theta=(TWO_PI - 0.5, TWO_PI + 0.5))),
+        (Box(theta=(0.0, 1.0)), Box(theta=(TWO_PI, TWO_PI + 1.0))),
+        (Box(x=(1.0, 2.0), theta=(1.0, 2.0)), Box(theta=(1.0, 2.0), x=(1.0, 2.0))),
+        (Ball(0.5, x=1.0), Ball(0.5, x=1.0)),
+        (HalfSpace(4.0, x=1.0), HalfSpace(4.0, x=1.0)),
+        (Union("a", [LEFT, Ball(0.5, x=3.0)]), Union("b", [Ball(0.5, x=3.0), LEFT, LEFT])),
+        (Union("a", [Box(x=(1.0, 2.0))]), Box(x=(1.0, 2.0))),
+        (Predicate("a", right), Predicate("b", right)),
+        (ActionBox(u=(0.0, 1.0)), ActionBox(u=(0.0, 1.0))),
+        (StateAction(LEFT, ActionBox(u=(0, 1))), StateAction(LEFT, ActionBox(u=(0, 1)))),
+    ],
+)
+def test_the_same_set_twice(first: Constraint, second: Constraint) -> None:
+    [text] = said(first, Box(x=(7.0, 8.0)), second)
+    assert text.startswith("hypotheses 0, 2 are the same set (")
+    assert text.endswith(
+        "each with a share of the prior: together they count 2 times. Keep one of them"
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (Box(x=(1.0, 2.0)), Box(x=(1.0, 2.0 + 1e-6))),
+        (Box(x=(1.0, 2.0)), Box(theta=(1.0, 2.0))),
+        (Box(theta=(1.0, 2.0)), Box(theta=(1.0 + math.pi, 2.0 + math.pi))),
+        (Ball(0.5, x=1.0), Ball(0.6, x=1.0)),
+        (Predicate("a", right), Predicate("a", lambda states: states[..., 1] > 5.0)),
+        (Union("a", [LEFT, Ball(0.5, x=3.0)]), LEFT),
+        (ActionBox(u=(0.0, 1.0)), ActionBox(u=(0.0, 2.0))),
+    ],
+)
+def test_other_sets(first: Constraint, second: Constraint) -> None:
+    assert said(first, second) == []
+
+
+def test_many_of_the_same_are_told_once() -> None:
+    [text] = said(*[Box(x=(1.0, 2.0))] * 6)
+    assert text.startswith("hypotheses 0, 1, 2 and 3 more are the same set (x [1, 2)), each")
+    assert "together they count 6 times" in text
+
+
+@pytest.mark.parametrize(
+    ("constraint", "place"),
+    [
+        (Box(x=(10.0, 12.0)), "from 10 to 12"),
+        (Box(x=(-3.0, 0.0), theta=(0.0, 1.0)), "from -3 to 0"),
+        (Ball(0.5, x=11.0, theta=1.0), "from 10.5 to 11.5"),
+        (HalfSpace(10.5, x=1.0), "from 10.5 to inf"),
+        (Union("two", [Box(x=(11.0, 12.0)), Box(x=(-9.0, -8.0))]), "from 11 to 12"),
+    ],
+)
+def test_outside_the_bounds(constraint: Constraint, place: str) -> None:
+    """The bounds of x are [0, 10]; theta is an angle."""
+    [text] = said(LEFT, constraint)
+    assert text.startswith(
+        f"hypothesis 1: wholly outside the bounds of x, [0, 10] (hypothesis 1 has x {place})"
+    )
+    assert "it has a share of the prior: another unit? Leave out what cannot be, or widen" in text
+
+
+@pytest.mark.parametrize(
+    "constraint",
+    [
+        Box(x=(9.9, 12.0)),
+        Box(theta=(20.0, 21.0)),
+        Ball(2.0, x=11.0),
+        HalfSpace(9.0, x=1.0),
+        Union("one", [Box(x=(11.0, 12.0)), Box(theta=(1.0, 2.0))]),
+        Predicate("right", right),
+        ActionBox(u=(50.0, 60.0)),
+    ],
+)
+def test_not_outside_the_bounds(constraint: Constraint) -> None:
+    assert said(LEFT, constraint) == []
+
+
+def test_cells_and_windows_outside_the_bounds() -> None:
+    cells = grid(theta=(0.0, TWO_PI, 2), x=(-10.0, 20.0, 6))
+    [text] = hypothesis_warnings(cells, SPACE)
+    assert text.startswith("hypotheses 0, 1, 4 and 5 more: wholly outside the bounds of x, [0, 10]")
+    assert "(hypothesis 0 has x from -10 to -5)" in text
+    assert "each has a share of the prior" in text
+    [text] = hypothesis_warnings(windows(x=(0.0, 14.0, 2.0), overlap=1), SPACE)
+    assert text.startswith("hypotheses 5, 6: wholly outside the bounds of x")
+    assert not list(hypothesis_warnings(grid(x=(-1.0, 11.0, 4)), SPACE))
+
+
+@pytest.mark.parametrize("name", ["pendulum", "car", "double-pendulum", "gridworld"])
+def test_shipped_problems_have_no_odd_hypotheses(name: str) -> None:
+    problem = swerve.load_problem(name)
+    assert not list(hypothesis_warnings(problem.hypotheses, problem.mdp.space))
+
+
+def test_infer_tells_them_with_and_without_demonstrations() -> None:
+    cells = ConstraintHypotheses([LEFT, LEFT, Box(x=(30.0, 31.0))])
+    warnings = infer(make_evidence(make_record(hypotheses=cells))).warnings
+    assert any("hypotheses 0, 1 are the same set" in text for text in warnings)
+    assert any("hypothesis 2: wholly outside the bounds of x" in text for text in warnings)
+    assert not np.any(["the same set" in text for text in infer(make_evidence()).warnings])
