@@ -42,7 +42,7 @@ def cells_compared(seed: int) -> list[str]:
     return note.found
 
 
-@pytest.mark.parametrize("seeds", every(5), ids=str)
+@pytest.mark.parametrize("seeds", every(10), ids=str)
 def test_discrete_dynamics(seeds: range) -> None:
     over(seeds, cells_compared)
 
@@ -88,6 +88,6 @@ def _walkable(generator: np.random.Generator) -> TableWorld:
     )
 
 
-@pytest.mark.parametrize("seeds", every(5), ids=str)
+@pytest.mark.parametrize("seeds", every(10), ids=str)
 def test_walks_of_any_length(seeds: range) -> None:
     over(seeds, paths_compared)
