@@ -14,7 +14,21 @@ from support.plain_greedy import NUM_HYPOTHESES, Plain, made_up
 from support.synthetic import evidence_of_columns, make_demonstration
 from support.walks import PROBLEM, ROUND, TASK
 
-from swerve import Inference, Pair, best_pair, greedy, grid, infer, learn, sample
+from swerve import (
+    Box,
+    Demonstration,
+    Inference,
+    Pair,
+    Problem,
+    Task,
+    best_pair,
+    greedy,
+    grid,
+    infer,
+    learn,
+    sample,
+    tabular,
+)
 from swerve.inference import pairs
 from swerve.solvers.exact.tabular import TableNominal
 
@@ -100,6 +114,17 @@ def test_of_an_exact_solver_by_its_sums_over_sets(nominal: TableNominal, toleran
     assert expected[place] == pytest.approx(expected.max(), abs=1e-9)
     assert found.log_partition[0] == pytest.approx(values[1 + place], abs=1e-9)
     assert found.standard_error == 0.0
+
+
+def test_of_an_exact_solver_where_nobody_avoids_two() -> None:
+    world = tabular(np.array([[1, 2, 3], *3 * [[0, 0, 0]]]), np.zeros(4), num_steps=1)
+    problem = Problem(world, [Box(state=(0.5, 2.5)), Box(state=(2.5, 3.5))])
+    task = Task(np.zeros(1), np.zeros(0))
+    every = learn(problem, "tabular")
+    demonstration = Demonstration("one", np.array([[0.0], [1.0]]), task)
+    inference = infer(sample(every, task), [demonstration], tolerance=0.1)
+    with pytest.raises(ValueError, match="no pair of hypotheses that a trajectory of every task"):
+        best_pair(inference, every)
 
 
 def test_bad_arguments(nominal: TableNominal) -> None:

@@ -143,8 +143,10 @@ def _exactly(inference: Ranking, nominal: ExactNominal, ordered: np.ndarray) -> 
         ratios.add(index)
         value = inference.log_likelihood[index] + in_force.gains(ratios.log_ratio)[others]
         value = np.where(np.isfinite(value), value, -np.inf)
-        least = -math.inf if best is None else best.log_likelihood
-        if not value.max() > least + TIED * max(1.0, abs(value.max())):
+        least = -math.inf
+        if best is not None:
+            least = best.log_likelihood + TIED * max(1.0, abs(best.log_likelihood))
+        if not value.max() > least:
             continue
         other = int(others[np.flatnonzero(value >= value.max() - TIED * abs(value.max()))[0]])
         ratio = np.where(inference.is_counted[:, other], ratios.log_ratio[:, other], 0.0)
