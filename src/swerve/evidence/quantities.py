@@ -24,7 +24,7 @@ from swerve.evidence.samples import EXACT, Samples, Summary, log_weights, weight
 from swerve.hypotheses.bits import select
 from swerve.problem.record import ProblemRecord
 
-MISSED_ERRORS = 3.0  # least errors that samples state: they must not miss a larger share of pi_0
+MISSED_ERRORS = 10.0  # least errors that samples state: they must not miss more of pi_0 than this
 
 
 @dataclass(frozen=True, eq=False)

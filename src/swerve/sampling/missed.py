@@ -17,13 +17,15 @@ the density
 
     pi_t(s_0, ..., s_t) = exp(sum_{k < t} g_k + V_t(s_t)) q(s_0, ..., s_t) / Z_t
 
-before they choose an action by pi. Both densities are judged, with h_t = g_t or with pi in place of
-q in g_t, whichever is larger:
+and choose their action by pi, so that
 
-    D = max_t [h_t + sum_{k > t} g_k - V_t(s_t) + log Z_t] - log Z_0.
+    D = max_t [beta r + log m - log pi + W_{t+1} - V_t(s_t) + log Z_t] - log Z_0,
+    W_t = sum_{k >= t} [beta r + log m - max(log q, log pi)].
 
-Take the explorers of the largest D, with share f in all: pi_0 is missed there if fewer than
-SURELY_SEEN samples, of N exp(-D) f, are expected.
+W is at most V in expectation, and at most V on every path if V is exact: D is then 0 or less, and
+nothing is missed. Take the explorers of the largest D, with share f in all: pi_0 is missed there if
+the density of the samples is SPARSE of that of pi_0, or less, and fewer than SURELY_SEEN samples,
+of N exp(-D) f, are expected.
 
 Shapes: M explorers, T steps, A actions.
 """
@@ -48,10 +50,11 @@ from swerve.simulation.compiled import of_problem
 from swerve.simulation.policies import LOWEST, ValuedPolicy, log_measure
 from swerve.simulation.trajectory import Policy, sample_action, take_step
 
-NUM_EXPLORERS = 256  # trajectories: finds what holds a few percent of pi_0, and costs little time
+NUM_EXPLORERS = 512  # trajectories: finds what holds a percent of pi_0, and costs little time
 NUM_DEVIATIONS = 2.0  # expected number of random actions in an episode of an explorer
 MOST_RANDOM = 0.5  # eps at most, where episodes are short
 TEMPERATURES = (1.0, 10.0)  # of the policy, in turn: a policy may be too sure of itself
+SPARSE = 0.05  # share of the density of pi_0: samples as sparse as this are not enough
 SURELY_SEEN = 3.0  # trajectories: none is sampled with a probability of exp(-3) = 5 %
 
 
@@ -113,20 +116,24 @@ def missed_share(
       is_resampled: whether the samples are those of sequential Monte Carlo.
     """
     gain, policy_gain, value = (np.asarray(part, np.float64) for part in explored)
-    after = np.concatenate([np.cumsum(gain[:0:-1], axis=0)[::-1], np.zeros_like(gain[:1])])
-    log_weight = gain[0] + after[0] - log_partition
+    log_weight = gain.sum(axis=0) - log_partition
+    scarcity = policy_gain.sum(axis=0) - log_partition
     if is_resampled:
-        before = np.concatenate([np.zeros_like(gain[:1]), gain[:-1].cumsum(axis=0)]) + value
-        log_mean = np.logaddexp.reduce(before, axis=1, keepdims=True) - math.log(gain.shape[1])
-        ahead = np.maximum(gain, policy_gain) + after
-        undervalued = (ahead - value + log_mean).max(axis=0) - log_partition
-    else:
-        undervalued = policy_gain.sum(axis=0) - log_partition
-    order = np.argsort(-undervalued)
+        log_mean = np.logaddexp.reduce(_before(gain) + value, axis=1) - math.log(gain.shape[1])
+        after = _before(np.minimum(gain, policy_gain)[::-1])[::-1]
+        ahead = policy_gain + after - value + log_mean[:, None]
+        scarcity = ahead.max(axis=0) - log_partition
+    order = np.argsort(-scarcity)
     log_share = np.logaddexp.accumulate(log_weight[order]) - math.log(len(order))
-    log_expected = math.log(num_trajectories) - undervalued[order] + log_share
-    missed = log_share[log_expected < math.log(SURELY_SEEN)].max(initial=-math.inf)
-    return float(np.exp(missed - np.logaddexp(0.0, missed)))
+    log_expected = math.log(num_trajectories) - scarcity[order] + log_share
+    missed = (log_expected < math.log(SURELY_SEEN)) & (scarcity[order] > -math.log(SPARSE))
+    log_missed = log_share[missed].max(initial=-math.inf)
+    return float(np.exp(log_missed - np.logaddexp(0.0, log_missed)))
+
+
+def _before(steps: np.ndarray) -> np.ndarray:
+    """Return the sum of the steps before each step [T, M]."""
+    return np.concatenate([np.zeros_like(steps[:1]), steps[:-1].cumsum(axis=0)])
 
 
 @of_problem
@@ -167,6 +174,10 @@ def _advance(
         math.log1p(-random) + jax.nn.log_softmax(log_pi / temperature),
         math.log(random / mdp.num_actions),
     )
+    # a state that the policy never visits may have no probabilities: then all actions are random
+    is_lost = jnp.isnan(proposed).any()
+    proposed = jnp.where(is_lost, -math.log(mdp.num_actions), proposed)
+    log_pi = jnp.where(is_lost, -jnp.inf, log_pi)
     action, log_q = sample_action(proposed, uniform)
     taken = take_step(problem, state, action, step, goal)
     allowed = ~jnp.isneginf(taken.reward)
