@@ -181,27 +181,34 @@ def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
 
 
 def _odd_move(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
-    """Return what is odd about the moves of a demonstration, whatever time they took."""
-    problem, space = evidence.problem, evidence.problem.space
+    """Return what is odd about the moves of a demonstration, whatever time they took.
+
+    A move after a gap of time may be longer than others, in proportion.
+    """
+    problem, space, times = evidence.problem, evidence.problem.space, demonstration.times
     moved = np.abs(space.difference(demonstration.states[:-1], demonstration.states[1:]))
     usual = np.sort(moved, axis=0)[int(FAST_SHARE * (len(moved) - 1))]
     largest = evidence.summary.fastest[task] * problem.dt
-    row, column = np.unravel_index(int((moved / space.extent).argmax()), moved.shape)
-    name, size, most = space.names[column], moved[row, column], largest[column]
-    if problem.between_states and usual[column] > FAST * most + JITTER * space.extent[column]:
+    far = usual - FAST * largest - JITTER * space.extent
+    i = int((far / space.extent).argmax())
+    if problem.between_states and far[i] > 0.0:
         return (
-            f"has rows up to {size:.3g} apart in {name}, where a move of the model changes it by "
-            f"at most {most:.3g}: the straight lines between them may cut through a hypothesis "
-            "that was avoided, and strike it out"
+            f"has rows {usual[i]:.3g} apart in {space.names[i]}, where a move of the model changes "
+            f"it by at most {largest[i]:.3g}: the straight lines between them may cut through a "
+            "hypothesis that was avoided, and strike it out"
         )
-    if size > FAST * max(most, usual[column]) + JITTER * space.extent[column]:
-        return (
-            f"jumps by {size:.3g} in {name} from row {row + 1} to row {row + 2}, where a move of "
-            f"the model changes it by at most {most:.3g}, and the other rows by "
-            f"{usual[column]:.3g} as a rule: a glitch or a gap of the recording? Hypotheses on the "
-            "straight line between the rows count as entered"
-        )
-    return ""
+    elapsed = np.ones(len(moved)) if times is None else np.diff(times)
+    gap = np.maximum(elapsed / np.partition(elapsed, len(elapsed) // 2)[len(elapsed) // 2], 1.0)
+    beyond = moved - FAST * np.maximum(largest, usual) * gap[:, None] - JITTER * space.extent
+    row, i = (int(k) for k in np.unravel_index((beyond / space.extent).argmax(), moved.shape))
+    if beyond[row, i] <= 0.0:
+        return ""
+    return (
+        f"jumps by {moved[row, i]:.3g} in {space.names[i]} from row {row + 1} to row {row + 2}, "
+        f"where a move of the model changes it by at most {largest[i]:.3g}, and the other rows by "
+        f"{usual[i]:.3g} as a rule: a glitch of the recording? Hypotheses on the straight line "
+        "between the rows count as entered"
+    )
 
 
 def _doubts(inference: Ranking) -> Iterator[str]:
