@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from swerve.base.arguments import fields_of, whole_number
+from swerve.base.progress import progress_bar
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
@@ -78,7 +79,8 @@ class Discrete(Solver[TableNominal]):
         cells = Cells(problem.mdp.space, self._shape(problem), self._limits(problem))
         hold = self._hold(problem)
         rewards = HeldRewards(problem, cells.centres, hold)
-        successors = _successors(cells, rewards.held, problem, self.rule)
+        with progress_bar("making the table", 1.0, options.progress):
+            successors = _successors(cells, rewards.held, problem, self.rule)
         step = hold * problem.mdp.dt
         table = States(cells.centres, successors, self._num_steps(problem), cells.number, step)
         return TableNominal(problem, self, table, rewards)

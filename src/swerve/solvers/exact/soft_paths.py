@@ -55,7 +55,9 @@ class SoftPaths(Solver["PathNominal"]):
     name = "soft-paths"
 
     def _learn(self, problem: Problem, options: LearnOptions) -> PathNominal:
-        return PathNominal(problem, self, self._maker(problem).learn(problem))
+        return PathNominal(
+            problem, self, self._maker(problem).learn(problem, progress=options.progress)
+        )
 
     def check(self, problem: Problem) -> None:
         """Raise ValueError if `tabular` or `discrete` cannot make the table."""
