@@ -8,7 +8,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo format check test-fast test fuzz verify docs benchmark lock clean FORCE
+.PHONY: help demo format check test-fast test fuzz verify kill docs benchmark lock clean FORCE
 
 # `make test PYTHON=/path/to/python3` chooses another interpreter.
 ifndef PYTHON
@@ -26,6 +26,8 @@ TEST_PROCESSES ?= 2
 FUZZ_INPUTS ?= 1000000
 # Number of random problems that `make verify` compares with brute force.
 VERIFY_PROBLEMS ?= 5000
+# Number of kills that `make kill` tries.
+KILLS ?= 1000
 # Arguments for `swerve demo`.
 DEMO_ARGS ?=
 # Arguments for the resolver: `make lock LOCK_ARGS=--upgrade` takes the newest releases.
@@ -36,7 +38,7 @@ LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
 # Folders and files that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
 # tests learn or sample. The rest takes about 170 s of processor time, shared by the processes.
-SLOW_TESTS := benchmarks brute_force cli demonstrators fitting monitoring reproduce sampling solvers whole work \
+SLOW_TESTS := benchmarks brute_force cli demonstrators fitting kill monitoring reproduce sampling solvers whole work \
 	evidence/test_at_beta.py evidence/test_stored_before.py
 
 # Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.
@@ -72,6 +74,10 @@ fuzz: $(VENV)/dev.stamp  ## Try a million inputs that others might send: files, 
 
 verify: $(VENV)/dev.stamp  ## Compare every public number with brute force on 5,000 random problems
 	@SWERVE_BRUTE_FORCE=$(VERIFY_PROBLEMS) $(BIN)/python -m pytest tests/brute_force --verbose \
+		--numprocesses $(TEST_PROCESSES) --dist load $(PYTEST_ARGS)
+
+kill: $(VENV)/dev.stamp  ## Kill 1,000 times, at every file operation and at random moments: nothing is lost
+	@SWERVE_KILLS=$(KILLS) $(BIN)/python -m pytest tests/kill --verbose \
 		--numprocesses $(TEST_PROCESSES) --dist load $(PYTEST_ARGS)
 
 docs: $(VENV)/dev.stamp  ## Build the documentation into site/; a warning is an error
