@@ -6,7 +6,7 @@ Shapes: K tasks, N trajectories of a task, H hypotheses.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -290,8 +290,6 @@ def _assumptions(generator: np.random.Generator, case: Case) -> Assumptions:
 
 def assuming(case: Case, assumed: Assumptions) -> Case:
     """Return a case with other assumptions, and its demonstrations judged by these."""
-    import dataclasses
-
     world, regions = case.world, case.layout.regions
     try:
         less = [c if assumed.margin is None else c.less(assumed.margin) for c in regions]
@@ -308,7 +306,7 @@ def assuming(case: Case, assumed: Assumptions) -> Case:
             if assumed.margin is not None:
                 grazes = region.holds(ends, world.axes) & ~inner.holds(ends, world.axes)
                 counted[:, h] &= ~grazes
-    return dataclasses.replace(
+    return replace(
         case,
         judged=np.array(judged, bool).reshape(len(case.recordings), len(regions)),
         is_counted=counted,

@@ -168,7 +168,13 @@ class PolygonRegion(Region):
         return polygon_depth(np.array(self.vertices), flat) - self.deep
 
     def less(self, margin: Mapping[str, float]) -> Region:
-        return replace(self, deep=self.deep + max(margin.get(name, 0.0) for name in self.names))
+        deep = self.deep + max(margin.get(name, 0.0) for name in self.names)
+        low, high = np.min(self.vertices, axis=0), np.max(self.vertices, axis=0)
+        x, y = (np.linspace(*ends, 40) for ends in zip(low, high, strict=True))
+        places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        if polygon_depth(np.array(self.vertices), places).max() < deep + 10 * NEAR:
+            raise NothingLeftError
+        return replace(self, deep=deep)
 
 
 @dataclass(frozen=True)
