@@ -80,7 +80,7 @@ def values(foresight: swerve.Foresight) -> dict[str, Any]:
             swerve.ActionBox(force=(0.0, 1.0)),
             swerve.HalfSpace(0.5, x=1.0),
             swerve.Polygon([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ("x", "v")),
-            swerve.Occupancy([[1, 0]], ("x", "v"), ((0.0, 1.0), (0.0, 1.0))),
+            swerve.Occupancy("map", [[True, False]], (0.0, 0.0), 0.5, ("x", "v")),
             *(problem.hypotheses.constraint(k) for k in range(3)),
         ],
         "Sets": [swerve.grid(x=(0.0, 1.0, 2)), swerve.windows(x=(0.0, 1.0, 0.2))],
@@ -185,7 +185,7 @@ class TestFork:
             found = [pool.submit(workers.outcome, call).result(timeout=60) for call in calls]
         for call, text in zip(calls, found, strict=True):
             assert text.startswith("RuntimeError: this process was forked"), call
-            assert "'spawn' or 'forkserver', or with joblib" in text
+            assert "get_context('spawn') or 'forkserver', or with joblib" in text
 
     def test_inference_works(self) -> None:
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork")) as pool:

@@ -6,6 +6,7 @@ Shapes: n state dimensions, ... any batch dimensions.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from swerve.base.arguments import whole_number
@@ -79,11 +80,11 @@ class Predicate(Constraint):
 
 def missing_function(name: str) -> Callable[[Any], Any]:
     """Return a function that raises ValueError, for a predicate that was read from a file."""
+    return partial(_raise_missing, name)
 
-    def function(states: Any) -> Any:
-        raise ValueError(
-            f"predicate {name!r} was read from a file, which holds its name and not its code: "
-            "load the problem that defines it"
-        )
 
-    return function
+def _raise_missing(name: str, states: Any) -> Any:
+    raise ValueError(
+        f"predicate {name!r} was read from a file, which holds its name and not its code: "
+        "load the problem that defines it"
+    )

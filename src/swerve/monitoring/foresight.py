@@ -279,6 +279,7 @@ class _Towards:
     """
 
     def __init__(self, foresight: Foresight, goal: np.ndarray) -> None:
+        self._made_of = foresight, goal
         inputs, n = foresight.inputs, len(foresight.inputs.space.names)
         of_state, of_goal, phase = inputs.waves()
         self._of_state, self._phase = of_state, of_goal @ goal + phase
@@ -301,6 +302,10 @@ class _Towards:
         if inputs.goal_is_state:
             self._away = np.tile(np.arange(n), len(RUSH))
         self._layers = [np.empty(len(weight), np.float32) for weight in foresight.weights]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it anew on the other side: some buffers are parts of others, and must stay so."""
+        return type(self), self._made_of
 
     def __call__(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return log P_0(avoid c from here on) [H], nats; the next call overwrites this array."""
