@@ -65,21 +65,15 @@ def infer(
         score, which is all that the samples tell. Without this option the score is worked out.
       resolve_seconds: Time after which no further score of this kind is worked out, in seconds; inf
         for no limit. The hypotheses that rank first come first, and what is left is named.
-      greedy: Pick up to this many constraints as well, one after another, as long as one more
-        constraint is more probable than no more. Each pick explains most of what earlier picks
-        leave unexplained.
-      threshold: With --greedy, pick as long as a pick explains at least this many nats per
-        demonstration more, however probable it is.
+      greedy: Pick up to this many constraints as well, one by one, while one more is more probable
+        than no more. Each explains most of what earlier picks leave unexplained.
+      threshold: With --greedy, pick while a pick explains this many nats a demonstration or more.
     """
     from swerve.answer import infer as infer_constraints
 
     if report is not None:
         check_report(report)
-    if not resolve_seconds > 0.0:
-        raise ValueError(
-            f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: to work out "
-            "nothing, give --no-resolve"
-        )
+    _check_seconds(resolve_seconds)
     _check_greedy(greedy, threshold, demonstrations)
     job = open_work(problem, work, how)
     check_judging(job.record, judged)
@@ -105,6 +99,15 @@ def check_report(report: Path) -> None:
     if report.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"--report {report}: it is an HTML page; name a file such as report.html")
     check_writable(report.parent)
+
+
+def _check_seconds(resolve_seconds: float) -> None:
+    """Make sure, before the work, that there is time to work out scores in."""
+    if not resolve_seconds > 0.0:
+        raise ValueError(
+            f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: to work out "
+            "nothing, give --no-resolve"
+        )
 
 
 def _check_greedy(

@@ -26,7 +26,7 @@ Shapes: K tasks, H hypotheses, D demonstrations, M hypotheses asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -131,21 +131,27 @@ def greedy(
     log_prior_odds = _log_prior_odds(inference, odds)
     is_by_odds = threshold is None or odds is not None
     most = None if most is None else whole_number(most, "most", 1)
-    ratios, in_force = conditional(inference, nominal), InForce(inference)
     picks: list[Pick] = []
-    while most is None or len(picks) < most:
-        if picks:
-            ratios.add(picks[-1].hypothesis)
-        pick = _best(inference, in_force, ratios, log_prior_odds)
-        if pick is None or pick.gain < TIED:
-            return Picks(picks, "exhausted", None, threshold)
+    for pick in _candidates(inference, nominal, log_prior_odds):
         if threshold is not None and pick.gain < threshold:
             return Picks(picks, "threshold", pick, threshold)
         if is_by_odds and pick.log_odds < 0.0:
             return Picks(picks, "odds", pick, threshold)
-        in_force.add(pick.hypothesis, pick.log_partition)
         picks.append(pick)
-    return Picks(picks, "most", None, threshold)
+        if len(picks) == most:
+            return Picks(picks, "most", None, threshold)
+    return Picks(picks, "exhausted", None, threshold)
+
+
+def _candidates(
+    inference: Ranking, nominal: ExactNominal | None, log_prior_odds: float
+) -> Iterator[Pick]:
+    """Yield the hypothesis of the largest gain, with those before it in force, until none gains."""
+    ratios, in_force = conditional(inference, nominal), InForce(inference)
+    while (pick := _best(inference, in_force, ratios, log_prior_odds)) is not None:
+        yield pick
+        in_force.add(pick.hypothesis, pick.log_partition)
+        ratios.add(pick.hypothesis)
 
 
 def checked_threshold(threshold: float | None) -> float | None:
@@ -181,6 +187,8 @@ def _best(
     refined = ratios.refined(near)
     total_gain[near] = in_force.gains(refined.value, near)
     best = float(total_gain[near].max()) / num
+    if best < TIED:
+        return None
     is_best = total_gain[near] / num >= best - TIED * max(1.0, best)
     place = int(np.flatnonzero(is_best)[0])
     index, gain = int(near[place]), float(total_gain[near[place]])
