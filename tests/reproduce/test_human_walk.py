@@ -290,6 +290,8 @@ def test_tracks_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> 
         ("{}", "KeyError('corner')"),
         ('{"corner": [0], "cell": 1}', "not enough values"),
         ('{"corner": [0, 1], "cell": 0}', "finite and cell > 0"),
+        ('{"corner": [0, 1], "cell": "2_5"}', "finite and cell > 0"),
+        (2000 * "[", "room.json: expected"),
         ("metres", "room.json: expected"),
         ('{"corner": [0, 0], "cell": 0.001}', "no floor wide enough for a body"),
     ],

@@ -97,8 +97,7 @@ def read_demonstrations(
     Args:
       paths: CSV or Parquet files.
       space: names, angles and bounds of the states.
-      tasks: file with the start and goal of each demonstration, see `read_tasks`. The row of
-        demo_7.csv has `demo_7` or `7` in its `demo` column.
+      tasks: file of `read_tasks`, whose row for demo_7.csv has `demo_7` or `7` as its `demo`.
       goal_names: names of a goal's components; the names of the states unless given.
       action_names: the columns that hold actions.
       goal_of: where there is no tasks file, maps states [L, n] to the goal [g]; by default the goal

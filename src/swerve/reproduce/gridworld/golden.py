@@ -25,6 +25,7 @@ import numpy as np
 from swerve.answer import infer
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.demonstrations.tables import file_content
 from swerve.fitting.rewards import divergence
 from swerve.inference.greedy import greedy
 from swerve.problem.problem import Problem
@@ -91,9 +92,9 @@ def read_golden(path: Path) -> Golden:
       ValueError: if the file is not of this form.
     """
     try:
-        golden = _parsed(json.loads(path.read_text()))
+        golden = _parsed(json.loads(file_content(path)))
         least, most = min(golden.sizes, default=0), max(golden.sizes, default=0)
-    except (KeyError, TypeError, IndexError, ValueError) as error:
+    except (KeyError, TypeError, IndexError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not of the form of a golden.json: {error!r}") from error
     if least < 1:
         raise ValueError(f"{path}: expected numbers num_demonstrations of at least 1")

@@ -18,6 +18,7 @@ Shapes: L samples of a track.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
@@ -26,12 +27,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.image import imread
 
+from swerve.base.arguments import number_or_nan
 from swerve.base.space import StateSpace, Task
 from swerve.constraints.base import violates
 from swerve.constraints.occupancy import Occupancy
 from swerve.demonstrations.checks import check_finite, row_namer
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.demonstrations.formats import read_table
+from swerve.demonstrations.tables import file_content
 
 CORNER, CELL = (-11.0, -10.0), 0.01  # m: lower left corner and pixel of THOR's map
 LEAST_DISTANCE = 3.0  # m between the ends of a track
@@ -79,7 +82,7 @@ def read_room(folder: Path) -> Room:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file; expected a picture of the room's floor")
     try:
-        picture = np.asarray(imread(path), float)
+        picture = np.asarray(imread(io.BytesIO(file_content(path)), "png"), float)
     except (SyntaxError, ValueError, OSError) as error:
         raise ValueError(
             f"{path}: expected a PNG picture ({error}); save the map as one"
@@ -108,9 +111,9 @@ def _place(path: Path) -> tuple[tuple[float, float], float]:
         return CORNER, CELL
     expected = 'expected {"corner": [x, y], "cell": side of a pixel}, in metres'
     try:
-        data = json.loads(path.read_text())
-        (x, y), cell = map(float, data["corner"]), float(data["cell"])
-    except (ValueError, TypeError, KeyError) as error:
+        data = json.loads(file_content(path))
+        (x, y), cell = map(number_or_nan, data["corner"]), number_or_nan(data["cell"])
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ValueError(f"{path}: {expected}; reading it failed ({error!r})") from error
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(cell) and cell > 0.0):
         raise ValueError(f"{path}: {expected}, finite and cell > 0, got {data}")
