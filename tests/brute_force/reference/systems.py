@@ -24,9 +24,9 @@ def integrated(derivative: Derivative, state: np.ndarray, duration: float) -> np
 
 
 def exactly_integrated(derivative: Derivative, state: np.ndarray, duration: float) -> np.ndarray:
-    """Return the state [n] after a duration, in a thousand Runge-Kutta steps."""
-    for _ in range(1000):
-        state = integrated(derivative, state, duration / 1000)
+    """Return the state [n] after a duration, in a hundred Runge-Kutta steps."""
+    for _ in range(100):
+        state = integrated(derivative, state, duration / 100)
     return state
 
 
