@@ -14,7 +14,7 @@ from swerve.base.decimals import decimal_number, whole_decimal
 
 def convert(kind: Any, tokens: Any) -> Any:
     """Convert the texts of an option to its type; a wrong text ends the command."""
-    if dict[str, float] in (kind, *get_args(kind)):  # with a name, its number comes alone
+    if dict[str, float] in (kind, *get_args(kind)) and not isinstance(tokens, dict):
         got = tokens[0].value
         message = f"expected a state and its margin, as in --margin.x 0.05, got {got!r} alone"
         raise CoercionError(msg=message)
