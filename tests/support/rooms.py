@@ -29,6 +29,7 @@ WITH_JAX = (  # what may import JAX at module level: packages and modules
     "problem.boundary",
     "problem.mdp",
     "problem.problem",
+    "problem.repeatable",
     "problem.tasks",
     "systems",
     "simulation",
