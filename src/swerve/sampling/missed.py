@@ -116,6 +116,8 @@ def missed_share(
       is_resampled: whether the samples are those of sequential Monte Carlo.
     """
     gain, policy_gain, value = (np.asarray(part, np.float64) for part in explored)
+    is_lost = np.isneginf(gain).any(axis=0)  # they weigh nothing, whatever the policy does
+    policy_gain = np.where(is_lost, gain, policy_gain)
     log_weight = gain.sum(axis=0) - log_partition
     scarcity = policy_gain.sum(axis=0) - log_partition
     if is_resampled:
