@@ -106,7 +106,9 @@ class Quantities:
           task: number of the task.
           rows: [M] indices of the trajectories.
         """
-        ancestor = self.samples.ancestor[task, rows]
+        ancestor = None
+        if not self.are_independent[task]:
+            ancestor = self.samples.ancestor[task, rows]
         log_weights = [self.log_weight[task, rows]]
         if self.method == "plain" and self.is_of_other_beta:
             log_weights.append(self.importance_log_weight[task, rows])
@@ -206,6 +208,11 @@ class Quantities:
     def distinct_share(self) -> np.ndarray:
         """[K] share of the initial trajectories that have descendants; 1 without resampling."""
         return self.summary.distinct_share
+
+    @property
+    def are_independent(self) -> np.ndarray:
+        """[K] True where no two trajectories descend from the same one at the start."""
+        return self.distinct_share == 1.0
 
     @property
     def island_log_partition(self) -> np.ndarray:

@@ -139,7 +139,7 @@ def summarise(
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
         of_islands = _of_islands(used, samples.violations[k], num_hypotheses)
         estimate = estimators.avoid_probability(used, samples.violations[k], num_hypotheses)
-        if not are_independent(ancestor):
+        if len(np.unique(ancestor)) < len(ancestor):  # trajectories depend on one another
             estimate = estimate._replace(avoid_variance=of_islands.variance())
         if method in RESAMPLED:
             kl = float(estimators.normalise(log_weight) @ _finite(importance[k])) - log_partition
@@ -196,24 +196,20 @@ def islands(num_trajectories: int) -> list[np.ndarray]:
     return np.array_split(np.arange(num_trajectories), num_islands)
 
 
-def are_independent(ancestor: np.ndarray) -> bool:
-    """Return whether no two trajectories descend from the same one, given the ancestor of each."""
-    return len(np.unique(ancestor)) == len(ancestor)
-
-
 def estimated(
-    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, ancestor: np.ndarray
+    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, are_independent: bool
 ) -> estimators.Estimate:
-    """Estimate Z_c / Z_0 as `summarise` does: where trajectories share ancestors, by islands.
+    """Estimate Z_c / Z_0 as `summarise` does.
 
     Args:
       log_weight: [N] nats; -inf for trajectories to be left out.
       violations: [N, ceil(H / 8)] packed bits.
       num_hypotheses: H.
-      ancestor: [N] index of the trajectory at the start from which each trajectory descends.
+      are_independent: whether no two trajectories descend from the same one at the start; otherwise
+        only islands are independent, and their spread is the error.
     """
     estimate = estimators.avoid_probability(log_weight, violations, num_hypotheses)
-    if are_independent(ancestor):
+    if are_independent:
         return estimate
     variance = _of_islands(log_weight, violations, num_hypotheses).variance()
     return estimate._replace(avoid_variance=variance)

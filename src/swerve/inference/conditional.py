@@ -196,7 +196,7 @@ class Avoiding:
             left,
             self._violations[:, columns],
             num_hypotheses,
-            self._evidence.samples.ancestor[self._task],
+            bool(self._evidence.are_independent[self._task]),
         )
         return estimators.log_ratio(estimate, self._resolution)
 

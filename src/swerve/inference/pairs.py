@@ -125,9 +125,9 @@ def _ratio_of_samples(evidence: Evidence, task: int, counted: np.ndarray) -> tup
     if evidence.is_resolved[task, counted].any():
         least = counted[evidence.log_ratio[task, counted].argmin()]
         return float(evidence.log_ratio[task, least]), float(evidence.standard_error[task, least])
-    samples = evidence.samples
-    entered = select(samples.violations[task], counted).any(axis=1).astype(np.uint8)[:, None]
-    estimate = estimated(evidence.log_weight[task], entered, 1, samples.ancestor[task])
+    entered = select(evidence.samples.violations[task], counted).any(axis=1)
+    bits, are_independent = entered.astype(np.uint8)[:, None], bool(evidence.are_independent[task])
+    estimate = estimated(evidence.log_weight[task], bits, 1, are_independent)
     ratio = estimators.log_ratio(estimate, evidence.resolution[task])
     return float(ratio.value[0]), float(ratio.standard_error[0])
 
