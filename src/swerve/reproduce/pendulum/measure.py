@@ -25,6 +25,7 @@ import numpy as np
 
 from swerve.constraints.base import violates
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.demonstrations.tables import file_content
 from swerve.demonstrators.path_search import Search
 from swerve.hypotheses.bits import unpack
 from swerve.reproduce.keeping import Keeping
@@ -231,8 +232,8 @@ def read_violation(path: Path, demonstrations: list[Demonstration]) -> np.ndarra
     Raises:
       ValueError: if a demonstration has no row of numbers from 0 to 1 for each of the 100 cells.
     """
-    with path.open() as file:
-        rows = {row[0]: row[1:] for row in (line.strip().split(",") for line in file)}
+    lines = file_content(path).decode().splitlines()
+    rows = {row[0]: row[1:] for row in (line.strip().split(",") for line in lines)}
     found = []
     for one in demonstrations:
         name = one.name.removeprefix("demo_")
