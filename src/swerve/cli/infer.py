@@ -103,10 +103,15 @@ def check_report(report: Path) -> None:
 
 def _check_seconds(resolve_seconds: float) -> None:
     """Make sure, before the work, that there is time to work out scores in."""
-    if not resolve_seconds > 0.0:
+    _check_seconds(resolve_seconds)
+
+
+def _check_seconds(seconds: float) -> None:
+    """Make sure, before the work, that there is time to resolve a hypothesis."""
+    if not seconds > 0.0:
         raise ValueError(
-            f"--resolve-seconds: expected a number > 0, got {resolve_seconds:g}: to work out "
-            "nothing, give --no-resolve"
+            f"--resolve-seconds: expected a number > 0, got {seconds:g}: to work out nothing, give "
+            "--no-resolve"
         )
 
 
