@@ -18,7 +18,7 @@ from support.command import CONSTRAINT, ROBOT, SOLVER, infer
 from swerve.base.files import TEMPORARY
 
 NUM_MOMENTS = 20
-START = "import sys; print('go', flush=True); from swerve.cli.start import main; main()"
+START = "from swerve.cli.start import main; print('go', flush=True); main()"
 
 
 def started(arguments: list[object]) -> subprocess.Popen[str]:

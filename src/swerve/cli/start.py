@@ -1,4 +1,7 @@
-"""Start the `swerve` command: Ctrl-C ends it with status 130 at any moment, imports included."""
+"""Start the `swerve` command: Ctrl-C ends it with status 130 at any moment, imports included.
+
+Importing this module takes SIGINT: only the command may.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ import sys
 
 from swerve.base.interrupts import leave, listen
 
+signal.signal(signal.SIGINT, leave)  # nothing has begun
+
 
 def main() -> None:
     """Run the command."""
-    signal.signal(signal.SIGINT, leave)  # nothing has begun
     from swerve.cli.app import main as run
 
     try:
