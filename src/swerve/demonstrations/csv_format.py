@@ -66,7 +66,7 @@ def _read(
     _parse_cells(path, rest, found, names, label, optional, values, labels)
     table = np.frombuffer(values).reshape(-1, len(names))
     unread = tuple(name for name in found if name not in (*names, label))
-    return Table(names, table, labels, lambda row: _line_of(path, data, row), unread)
+    return Table(names, table, labels, lambda row: _line_of(path, row), unread)
 
 
 def _lines(data: bytes) -> io.TextIOWrapper:
@@ -92,10 +92,10 @@ def _csv_rows(path: Path, lines: Iterable[str], line: int = 0) -> Iterator[tuple
         raise ValueError(f"{path}: line {at}: {error}; is a quote open?") from error
 
 
-def _line_of(path: Path, data: bytes, row: int) -> int:
-    """Return the line of a row, counted from 0."""
-    rows = _csv_rows(path, _lines(data))
-    return next(itertools.islice(rows, row + 1, None))[0]
+def _line_of(path: Path, row: int) -> int:
+    """Return the line of a row, counted from 0, for an error: the file is read once more."""
+    rows = _csv_rows(path, _lines(file_content(path)))
+    return next(itertools.islice(rows, row + 1, None), (row + 2,))[0]
 
 
 def _plain_rows(found: list[str], names: list[str]) -> re.Pattern[str]:
