@@ -71,17 +71,14 @@ def infer(
     """
     from swerve.answer import infer as infer_constraints
 
-    if report is not None:
-        check_report(report)
+    check_report(report)
     _check_seconds(resolve_seconds)
     _check_greedy(greedy, threshold, demonstrations)
     job = open_work(problem, work, how)
     check_judging(job.record, judged)
     found = read_files(job, demonstrations, tasks)
     asked = asked_tasks(job, found, tasks)
-    evidence = job.evidence(asked)
-    if not found and asked is not None:
-        evidence = _only(evidence, asked)
+    evidence = _only(job.evidence(asked), None if found else asked)
     rank = partial(infer_constraints, demonstrations=found, score=score, **vars(judged))
     result = rank(evidence)
     if not no_resolve:
@@ -90,10 +87,12 @@ def infer(
     _show(result, picks, report, as_json)
 
 
-def check_report(report: Path) -> None:
-    """Make sure, before the work, that the report can be written."""
+def check_report(report: Path | None) -> None:
+    """Make sure, before the work, that the report can be written, if one is asked for."""
     from swerve.base.files import check_writable
 
+    if report is None:
+        return
     if report.is_dir():
         raise IsADirectoryError(f"--report {report} is a folder; name a file, such as report.html")
     if report.suffix.lower() not in (".html", ".htm"):
@@ -132,8 +131,10 @@ def _check_greedy(
         raise ValueError("--greedy: constraints are picked from demonstrations: give at least one")
 
 
-def _only(evidence: Evidence, tasks: Task) -> Evidence:
-    """Return the part of evidence that is about these tasks."""
+def _only(evidence: Evidence, tasks: Task | None) -> Evidence:
+    """Return the part of evidence that is about these tasks; all of it for None."""
+    if tasks is None:
+        return evidence
     indices = {evidence.match(type(tasks)(*task)) for task in zip(*tasks, strict=True)}
     return evidence.select(sorted(indices))
 
