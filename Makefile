@@ -38,7 +38,7 @@ LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 
 # Folders and files that `make test-fast` leaves out, beside the tests marked slow: nearly all of their
 # tests learn or sample. The rest takes about 170 s of processor time, shared by the processes.
-SLOW_TESTS := benchmarks brute_force cli demonstrators fitting kill monitoring reproduce sampling solvers whole work \
+SLOW_TESTS := benchmarks fuzz brute_force cli demonstrators fitting kill monitoring reproduce sampling solvers whole work \
 	evidence/test_at_beta.py evidence/test_stored_before.py
 
 # Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.
