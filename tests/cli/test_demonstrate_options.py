@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from support.command import CONSTRAINT, SPACE, Run
 
-from swerve.base.space import TWO_PI
 from swerve.constraints.base import violates
 from swerve.demonstrations.demonstration import Demonstration, read_demonstrations
-from swerve.hypotheses.grid import grid
+from swerve.systems.gridworld import Gridworld
 
+WORLD = "gridworld?width=4&height=3&num_steps=6"
 ACROSS = "demo,start_theta,start_omega,goal_theta,goal_omega\n0,5,0,5.5,0\n"
 
 
@@ -21,31 +21,35 @@ def made(folder: Path) -> list[Demonstration]:
     return read_demonstrations(files, SPACE, action_names=("torque",))
 
 
-def test_boltzmann(robot: str, run: Run, tmp_path: Path) -> None:
-    """The index, the number, the seed and the solver's settings each change what is made."""
-    (tmp_path / "tasks.csv").write_text(ACROSS)
-    tasks = ("--tasks", tmp_path / "tasks.csv")
+def test_boltzmann(run: Run, robot: str, tmp_path: Path) -> None:
+    """The index, the number, the seed and the solver each change what is made."""
+    hypotheses, space = Gridworld(4, 3, 6).hypotheses(), Gridworld(4, 3, 6).space
     found = {}
-    for name, words in {
-        "usual": ("--constraint", CONSTRAINT, *tasks, "--solver", "grid?num_points=20"),
-        "seed": ("--constraint", CONSTRAINT, *tasks, "--solver", "grid?num_points=20", "--seed", 1),
-        "solver": ("--constraint", CONSTRAINT, *tasks, "--solver", "grid?num_points=31"),
-        "number": ("--constraint", 12, "--num", 3, "--solver", "grid?num_points=20"),
-    }.items():
-        status, _, said = run("demonstrate", robot, *words, "--out", tmp_path / name)
+    for name, index, more in (
+        ("usual", 5, ("--num", 20)),
+        ("other", 6, ("--num", 20)),
+        ("seed", 5, ("--num", 20, "--seed", 1)),
+        ("solver", 5, ("--num", 3, "--solver", "tabular")),
+    ):
+        out = tmp_path / name
+        status, _, said = run("demonstrate", WORLD, "--constraint", index, "--out", out, *more)
         assert status == 0, said
-        found[name] = made(tmp_path / name)
-        assert (tmp_path / name / "tasks.csv").exists()
-    assert {name: len(items) for name, items in found.items()} == {
-        **dict.fromkeys(("usual", "seed", "solver"), 1),
-        "number": 3,
-    }
-    for name in ("seed", "solver"):
-        assert not np.array_equal(found[name][0].states, found["usual"][0].states)
-    hypotheses = grid(theta=(0.0, TWO_PI, 6), omega=(-4.0, 4.0, 5))
-    for name, index in (("usual", CONSTRAINT), ("number", 12)):
-        for item in found[name]:
-            assert not violates(hypotheses.constraint(index), item.states, SPACE, True)
+        assert (out / "tasks.csv").exists()
+        found[name] = read_demonstrations(sorted(out.glob("demo_*.csv")), space)
+    assert [len(items) for items in found.values()] == [20, 20, 20, 3]
+    for index, avoiding, entering in ((5, "usual", "other"), (6, "other", "usual")):
+        inside = {
+            name: [violates(hypotheses[index], item.states, space, False) for item in found[name]]
+            for name in (avoiding, entering)
+        }
+        assert not any(inside[avoiding])
+        assert any(inside[entering])
+    paths = [[item.states.tolist() for item in found[name]] for name in ("usual", "seed")]
+    assert paths[0] != paths[1]
+    words = ("--constraint", 5, "--out", tmp_path / "none", "--solver", "tabular")
+    status, _, said = run("demonstrate", robot, *words)
+    assert status == 1
+    assert "the tabular solver needs a tabular MDP" in said
 
 
 def test_optimal_control(robot: str, run: Run, tmp_path: Path) -> None:
@@ -58,16 +62,16 @@ def test_optimal_control(robot: str, run: Run, tmp_path: Path) -> None:
         "usual": (),
         "weak": ("--max-action", 1.5),
         "short": ("--num-steps", 4),
-        "near": ("--goal-tolerance", 0.5),
     }.items():
         status, _, said = run(*words, *more, "--out", tmp_path / name)
         assert status == 0, said
         (found[name],) = made(tmp_path / name)
     lengths = {name: len(item.states) for name, item in found.items()}
-    assert lengths == {"usual": 7, "weak": 7, "short": 5, "near": 7}
+    assert lengths == {"usual": 7, "weak": 7, "short": 5}
     torques = {name: np.nanmax(np.abs(item.actions)) for name, item in found.items()}
     assert torques["weak"] <= 1.5 + 1e-6 < torques["usual"]
-    missed = {
-        name: float(np.linalg.norm(item.states[-1] - [5.5, 0.0])) for name, item in found.items()
-    }
-    assert missed["usual"] <= 0.05 + 1e-6 < missed["near"] <= 0.5 + 1e-6
+    idle = (*words, "--max-action", 0.01, "--out", tmp_path / "idle")
+    assert run(*idle)[0] == 1  # nobody gets there without a push
+    assert run(*idle, "--goal-tolerance", 10)[0] == 0
+    (found,) = made(tmp_path / "idle")
+    assert np.linalg.norm(found.states[-1] - [5.5, 0.0]) > 0.05

@@ -158,7 +158,7 @@ def test_a_task_that_was_not_tried_is_left_open(
 def commanded(tmp_path: Path) -> tuple[object, ...]:
     """Return the arguments of an inference from the demonstration."""
     files = write(tmp_path / "made", waiting(), cart.mdp.space)
-    ask = ("infer", f"{__name__}:cart", *files, "--tasks", tmp_path / "made/tasks.csv")
+    ask = ("infer", f"{__file__}:cart", *files, "--tasks", tmp_path / "made/tasks.csv")
     return (*ask, "--solver", SOLVER, "--samples", 500, "--seed", 1)
 
 
@@ -189,7 +189,7 @@ def test_work_without_a_folder_says_no_more_than_it_can(
 ) -> None:
     said: list[str] = []
     settings = Settings(SOLVER, 1, num_trajectories=500)
-    work = Work(f"{__name__}:cart", None, settings, say=said.append)
+    work = Work(f"{__file__}:cart", None, settings, say=said.append)
     result = infer(work.evidence(Task.stack([CART_TASK])), waiting())
     said.clear()
     work.resolved(result, 0.5 * TAKES)

@@ -100,11 +100,6 @@ def check_report(report: Path | None) -> None:
     check_writable(report.parent)
 
 
-def _check_seconds(resolve_seconds: float) -> None:
-    """Make sure, before the work, that there is time to work out scores in."""
-    _check_seconds(resolve_seconds)
-
-
 def _check_seconds(seconds: float) -> None:
     """Make sure, before the work, that there is time to resolve a hypothesis."""
     if not seconds > 0.0:

@@ -76,18 +76,8 @@ def resolve(
         number above 0.
     """
     check_process()
-    if not isinstance(nominal.solver, AdaptingSolver):
-        adapting = ", ".join(solver_names(lambda kind: kind.adapts))
-        raise ValueError(
-            f"nominal: expected one by a solver with a soft value that adapts ({adapting}), got "
-            f"{nominal.solver.name!r}"
-        )
     evidence = inference.evidence
-    if nominal.problem.record.fingerprint != evidence.problem.fingerprint:
-        raise ValueError(
-            f"the evidence is of another problem than the nominal: {evidence.problem.summary}, "
-            f"not {nominal.problem.record.summary}"
-        )
+    _check(nominal, evidence)
     if not number_or_nan(seconds) > 0.0:
         raise ValueError(f"seconds: expected a number of seconds > 0, got {seconds!r}")
     seed, deadline = seed_number(seed), monotonic() + seconds
@@ -102,6 +92,21 @@ def resolve(
             keep(evidence)
             advance(1)
     return evidence
+
+
+def _check(nominal: Nominal, evidence: Evidence) -> None:
+    """Raise ValueError if a nominal does not adapt, or is of another problem than evidence."""
+    if not isinstance(nominal.solver, AdaptingSolver):
+        adapting = ", ".join(solver_names(lambda kind: kind.adapts))
+        raise ValueError(
+            f"nominal: expected one by a solver with a soft value that adapts ({adapting}), got "
+            f"{nominal.solver.name!r}"
+        )
+    if nominal.problem.record.fingerprint != evidence.problem.fingerprint:
+        raise ValueError(
+            f"the evidence is of another problem than the nominal: {evidence.problem.summary}, "
+            f"not {nominal.problem.record.summary}"
+        )
 
 
 def _resolved(
