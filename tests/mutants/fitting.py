@@ -12,4 +12,18 @@ MUTANTS = (
         "float(self.earned - mean.sum()),",
         "fitting/test_beta -k score",
     ),
+    Mutant(
+        "take the action at the first instant of a step",
+        "fitting/steps.py",
+        "actions = actions[_row_before(middle - slack, elapsed)]",
+        "actions = actions[_row_before(wanted[:-1] + slack, elapsed)]",
+        "fitting/test_divergence -k vary",
+    ),
+    Mutant(
+        "count the rows after the end of an episode",
+        "fitting/steps.py",
+        "        return int(ended.argmax()) + 1",
+        "        return len(path)",
+        "fitting/test_rewards -k after_the_end",
+    ),
 )

@@ -61,4 +61,18 @@ MUTANTS = (
         "part = states[:, : end + 1]",
         "monitoring/test_foresight -k every_sequence",
     ),
+    Mutant(
+        "find nothing missing that resampling kills",
+        "sampling/missed.py",
+        "        scarcity = ahead.max(axis=0) - log_partition",
+        "        scarcity = ahead.min(axis=0) - log_partition",
+        "sampling/test_missed -k never_does",
+    ),
+    Mutant(
+        "let explorers weigh themselves by the policy",
+        "sampling/missed.py",
+        "    now = Explored(earned - log_q, ",
+        "    now = Explored(policy_gain, ",
+        "sampling/test_missed -k exactly",
+    ),
 )

@@ -11,8 +11,7 @@ evenly among the K tasks in use, task k needs
     N_k = N K (n_k e_k / gap)^2
 
 trajectories, where n_k e_k is twice the sum of the amounts that the task's n_k demonstrations add
-to the standard errors of the two scores. No check can detect a mode of pi_0 that no trajectory
-took, sampled or exploring: the weights of the other trajectories then look perfect.
+to the standard errors of the two scores. No check detects modes that not even explorers find.
 
 Shapes: K tasks.
 """
@@ -70,8 +69,7 @@ def verdict(inference: Ranking, task: int) -> str:
     if _is_apart(inference)[task]:
         return f"not to be trusted: parts of its samples differ {_apart_by(evidence, task)}"
     if _misses(inference)[task]:
-        share = evidence.missed_share[task]
-        return f"{_missing_text(share)}: about {100 * share:.2g} % of pi_0 was not sampled"
+        return f"{_missing_text(evidence.missed_share[task])} of pi_0 was not sampled"
     if is_too_hot(evidence):
         return f"errors may be larger than stated: {_at_its_beta(evidence)}"
     if _is_far(inference)[task]:
@@ -173,7 +171,8 @@ def _misses(inference: Ranking) -> np.ndarray:
 
 
 def _missing_text(share: float) -> str:
-    return "not to be trusted" if share > HIGH_MISSED else "errors may be larger than stated"
+    doubt = "not to be trusted" if share > HIGH_MISSED else "errors may be larger than stated"
+    return f"{doubt}: about {100 * share:.2g} %"
 
 
 def _is_far(inference: Ranking) -> np.ndarray:
@@ -248,12 +247,11 @@ def _missing(inference: Ranking) -> Iterator[str]:
     evidence, missing = inference.evidence, _misses(inference)
     if missing.any():
         worst = int(np.where(missing, evidence.missed_share, 0.0).argmax())
-        share = evidence.missed_share[worst]
         yield (
-            f"{_missing_text(share)}: for {missing.sum()} of "
-            f"{np.count_nonzero(inference.task_counts)} tasks a part of pi_0 was not sampled, but "
-            f"found by trajectories that deviate from the policy (worst: "
-            f"{inference.task_name(worst)}, about {100 * share:.2g} %). {_remedy(evidence)}"
+            f"{_missing_text(evidence.missed_share[worst])} of pi_0 was not sampled for "
+            f"{inference.task_name(worst)}, the worst of {missing.sum()} such tasks of "
+            f"{np.count_nonzero(inference.task_counts)}, but found by trajectories that deviate "
+            f"from the policy. {_remedy(evidence)}"
         )
 
 
