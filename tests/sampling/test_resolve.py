@@ -205,7 +205,7 @@ def test_the_work_folder_resolves_once(tmp_path: Path) -> None:
 
     def rank() -> Inference:
         settings = Settings("grid?num_points=61", num_trajectories=500)
-        work = Work(f"{__name__}:rare_cart", tmp_path / "work", settings, say=said.append)
+        work = Work(f"{__file__}:rare_cart", tmp_path / "work", settings, say=said.append)
         result = infer(work.evidence(Task.stack([CART_TASK])), [demonstration])
         return infer(work.resolved(result), [demonstration])
 
@@ -220,7 +220,7 @@ def test_the_work_folder_resolves_once(tmp_path: Path) -> None:
 def test_the_command_leaves_bounds_where_it_is_told_to(tmp_path: Path, run: Run) -> None:
     demonstration = round_about(rare_cart, RARE)
     files = write_demonstrations(tmp_path / "made", [demonstration], rare_cart.mdp.space)
-    ask = ("infer", f"{__name__}:rare_cart", *files, "--tasks", tmp_path / "made/tasks.csv")
+    ask = ("infer", f"{__file__}:rare_cart", *files, "--tasks", tmp_path / "made/tasks.csv")
     is_bound = []
     for more in ((), ("--no-resolve",)):
         settings = ("--solver", "grid?num_points=61", "--samples", 500, "--json")
