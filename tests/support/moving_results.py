@@ -35,7 +35,8 @@ def run(path: Path, first: int) -> None:
 def check(path: Path) -> int:
     """Check a folder whose process was killed; return the number of the problem in its record.
 
-    The results of the problem before are complete, in the folder or aside.
+    The results of the problem before are complete, in the folder or aside. Results of the problem
+    itself that were not written yet are written, so that the next check knows what there must be.
     """
     folder = WorkFolder(path, "pendulum")
     folder.read()
@@ -48,6 +49,8 @@ def check(path: Path) -> int:
     expected = {} if moved else dict.fromkeys(here, str(number))
     if here != expected or not (moved or set(aside.values()) <= {str(number - 1)}):
         raise AssertionError(f"problem {number}: {here} here, {aside} aside")
+    for name in () if moved else NAMES:  # what the process was killed before it wrote
+        files.write_text(path / name, str(number))
     return number
 
 
