@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_of_an_exact_solver_where_nobody_avoids_two() -> None:
     world = tabular(np.array([[1, 2, 3], *3 * [[0, 0, 0]]]), np.zeros(4), num_steps=1)
     problem = Problem(world, [Box(state=(0.5, 2.5)), Box(state=(2.5, 3.5))])
     task = Task(np.zeros(1), np.zeros(0))
-    every = learn(problem, "tabular")
+    every: Any = learn(problem, "tabular")
     demonstration = Demonstration("one", np.array([[0.0], [1.0]]), task)
     inference = infer(sample(every, task), [demonstration], tolerance=0.1)
     with pytest.raises(ValueError, match="no pair of hypotheses that a trajectory of every task"):

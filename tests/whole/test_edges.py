@@ -96,7 +96,8 @@ def test_actions_on_the_edge(region: ActionBox, expected: float) -> None:
     share = np.exp(within.log_partition[0] - evidence.log_partition[0])
     assert share == pytest.approx(expected, rel=1e-5)
     for index, force in enumerate((-0.7, 0.0, 0.7, 0.9)):
-        one = Demonstration("one", [[0.0], [force]], task, actions=[[force]])
+        states, actions = np.array([[0.0], [force]]), np.array([[force]])
+        one = Demonstration("one", states, task, actions=actions)
         forbidden = region.among(Pushes())[index]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

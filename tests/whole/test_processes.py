@@ -25,6 +25,13 @@ import swerve
 EVIDENCE = workers.made(0)
 NOMINAL: Any = swerve.learn(push(), GRID)
 TESTS = Path(__file__).parents[1]
+CONSTRAINTS = [
+    swerve.Box(x=(0.0, 1.0)),
+    swerve.ActionBox(force=(0.0, 1.0)),
+    swerve.HalfSpace(0.5, x=1.0),
+    swerve.Polygon([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ("x", "v")),
+    swerve.Occupancy("map", [[True, False]], (0.0, 0.0), 0.5, ("x", "v")),
+]
 
 
 @pytest.fixture(scope="module")
@@ -75,14 +82,7 @@ def values(foresight: swerve.Foresight) -> dict[str, Any]:
         "Nominal discrete": swerve.learn(problem, "discrete?num_cells=9"),
         "Nominal enumerated": swerve.learn(problem, "enumeration"),
         "Solver": swerve.PPO(),
-        "Constraints": [
-            swerve.Box(x=(0.0, 1.0)),
-            swerve.ActionBox(force=(0.0, 1.0)),
-            swerve.HalfSpace(0.5, x=1.0),
-            swerve.Polygon([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ("x", "v")),
-            swerve.Occupancy("map", [[True, False]], (0.0, 0.0), 0.5, ("x", "v")),
-            *(problem.hypotheses.constraint(k) for k in range(3)),
-        ],
+        "Constraints": [*CONSTRAINTS, *(problem.hypotheses.constraint(k) for k in range(3))],
         "Sets": [swerve.grid(x=(0.0, 1.0, 2)), swerve.windows(x=(0.0, 1.0, 0.2))],
         "Space": problem.mdp.space,
     }

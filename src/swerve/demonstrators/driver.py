@@ -179,7 +179,8 @@ def _drive(
             share, more = driver.noise * generator.normal(size=(2, 2))
             action = np.clip(meant * (1.0 + share) + 0.1 * limits * more, -limits, limits)
         actions.append(action)
-        states.append(np.asarray(step(*(np.float32(x) for x in (states[-1], action))), float))
+        taken = (jnp.asarray(x, jnp.float32) for x in (states[-1], action))
+        states.append(np.asarray(step(*taken), float))
         seen.append(states[-1])
         if bool(mdp.terminated(jnp.asarray(states[-1], jnp.float32), jnp.zeros(0, jnp.float32))):
             break
