@@ -40,6 +40,30 @@ def test_a_state_is_answered_by_what_it_tells() -> None:
     assert watched.answer(json.dumps({"end": True, "id": "a"}))["end"]
 
 
+def test_a_state_on_the_line_of_the_end_is_taken_in_first() -> None:
+    state = {"theta": START[0], "x": START[1], "t": 0.0, "id": "a"}
+    apart, together = make_watch(), make_watch()
+    struck_out = apart.answer(json.dumps(state))["struck_out"]
+    expected = apart.answer('{"end": true, "id": "a"}')
+    found = together.answer(json.dumps({**state, "end": True}))
+    assert struck_out == [0]
+    assert found["struck_out"] == struck_out
+    assert found["end"]
+    assert {**found, "struck_out": [], "t": None} == {**expected, "t": None}
+    assert "no state of it" in together.answer('{"end": true, "id": "a"}')["error"]
+    missing = together.answer('{"end": true, "theta": 1.0, "id": "a"}')
+    assert missing["error"] == "expected the states theta, x, got no x"
+
+
+def test_the_flags_of_the_last_state_are_told_at_the_end() -> None:
+    watched = make_watch()
+    state = {"theta": START[0], "x": START[1], "t": 0.0, "end": True}
+    late = watched.answer(json.dumps({**state, "t": 0.3}))
+    on_time = watched.answer(json.dumps(state))
+    assert "late start" in late["flags"]
+    assert "late start" not in on_time["flags"]
+
+
 def test_an_array_is_a_state_too() -> None:
     watched = make_watch()
     as_array = watched.answer(json.dumps(START))

@@ -5,8 +5,9 @@
 
 A line in is an object with the states by name, or an array of the states in order. `t` [s] and `id`
 may be left out; demonstrations with different ids (texts or whole numbers) are watched side by
-side. {"end": true, "id": ...} ends a demonstration; its answer agrees with `infer`. A bad line is
-answered by {"error": ..., "line": its number} and changes nothing.
+side. {"end": true, "id": ...} ends a demonstration, after the state on that line if there is one;
+its answer agrees with `infer`. A bad line is answered by {"error": ..., "line": its number} and
+changes nothing.
 
 At most MAX_OPEN demonstrations are watched at a time. One more takes the place of the one whose
 last state came longest ago, and its answer names that one: {"id": ..., "dropped": "left arm", ...}.
@@ -73,7 +74,7 @@ class Watch:
                 raise ValueError(f"expected an object or an array, got {_brief(data)}")
             name = _name(data.get("id"))
             self._check_keys(data)
-            return self._ended(name) if data.get("end") else self._observed(name, data)
+            return self._ended(name, data) if data.get("end") else self._observed(name, data)
         except ValueError as error:
             return {"id": name, "error": cut(str(error), MAX_ERROR)}
         except Exception as error:  # code of a user, such as a predicate, may raise anything
@@ -125,11 +126,19 @@ class Watch:
         """Return a monitor for a demonstration of a task that begins."""
         return Monitor(self._evidence, task, self._foresight, **self._options)
 
-    def _ended(self, name: str) -> dict[str, Any]:
-        """Forget a demonstration that has ended, and return the belief from the whole of it."""
+    def _ended(self, name: str, data: dict[str, Any]) -> dict[str, Any]:
+        """Forget a demonstration that has ended, and return the belief from the whole of it.
+
+        A state on the line of the end is its last state, which is taken in first.
+        """
+        has_state = any(state in data for state in self._names)
+        last = self._observed(name, data) if has_state else {"struck_out": [], "flags": []}
         if name not in self._monitors:
             raise ValueError(f"id {name!r}: ended, but no state of it has come")
-        return {"id": name, "end": True, **_shown(self._monitors.pop(name).finish())}
+        ended = _shown(self._monitors.pop(name).finish())
+        ended["flags"] = list(dict.fromkeys([*last["flags"], *ended["flags"]]))
+        ended["struck_out"] = last["struck_out"]
+        return {"id": name, "end": True, **last, **ended}
 
 
 def answer_lines(source: BinaryIO, answer: Callable[[str], dict[str, Any]], out: Any) -> None:
