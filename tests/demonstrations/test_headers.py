@@ -71,9 +71,46 @@ def test_a_time_that_is_not_taken_is_told(tmp_path: Path, names, told: str | Non
         return
     [note] = item.notes
     assert note == (
-        f"has no column t, and {told} was not taken for it: durations, rates and speeds are not "
-        "checked. Name the times t, in seconds"
+        f"has no column t, and {told} was not taken for it: expected one column of seconds that "
+        "strictly increase. Durations, rates and speeds are not checked: convert the times to "
+        "seconds, and name them t"
     )
+
+
+NOISE = 0.02 * np.random.default_rng(0).standard_normal(40)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("T", 21.0 + NOISE),  # a temperature
+        ("T", np.round(21.0 + np.sin(np.arange(40) / 5.0), 2)),
+        ("sec", (58 + np.arange(40)) % 60),  # of the minute
+        ("sec", (58 + np.arange(100)) % 60),
+        ("s", np.zeros(40)),
+        ("timestamp", 1.7e18 + 5e7 * np.arange(40)),
+        ("timestamp", 1.7e15 + 5e4 * np.arange(40)),
+        ("timestamp", 1.7e12 + 50.0 * np.arange(40)),
+        ("timestamp", np.tile(1.7e18 + 5e7 * np.arange(20), 2)),
+    ],
+)
+def test_what_cannot_be_seconds_is_not_taken(
+    tmp_path: Path, name: str, values: np.ndarray, suffix: str
+) -> None:
+    rows = [[0.0, 0.5, float(value), k // 60] for k, value in enumerate(values)]
+    item = read(tmp_path / f"a{suffix}", "x", "v", name, "minute", rows=rows)
+    assert item.times is None
+    assert item.states.shape == (len(values), 2)
+    told = f"'{name}' was not taken for it: expected one column of seconds that strictly increase"
+    assert name == "s" or told in item.notes[0]
+
+
+def test_seconds_since_1970_are_taken(tmp_path: Path) -> None:
+    rows = [[1.7e9 + 0.05 * k, 0.0, 0.5] for k in range(40)]
+    times = read(tmp_path / "a.csv", "timestamp", "x", "v", rows=rows).times
+    assert times is not None
+    np.testing.assert_allclose(np.diff(times), 0.05, rtol=1e-4)
 
 
 def test_two_times_dates_and_clocks_that_stand_still_are_not_taken(tmp_path: Path) -> None:

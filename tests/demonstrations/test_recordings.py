@@ -77,5 +77,17 @@ def test_a_time_column_of_another_name_is_looked_at_too(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{t},0.1,0.2" for t in np.concatenate([ONE, ONE])]
     path.write_text("\n".join(["timestamp,x,v", *rows]))
-    with pytest.raises(ValueError, match=SPLIT):
+    with pytest.raises(ValueError, match=SPLIT) as caught:
+        read_demonstrations([path], SPACE)
+    assert "row 20 (line 21) has timestamp = 1.9 and row 21 has timestamp = 0.0" in str(
+        caught.value
+    )
+
+
+def test_recordings_that_begin_at_other_times_are_told_by_another_column(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    starts = np.repeat([3.0, 9.0, 1.0], 20)
+    rows = [f"{t},{k // 20},0.1,0.2" for k, t in enumerate(np.tile(ONE, 3) + starts)]
+    path.write_text("\n".join(["time,person,x,v", *rows]))
+    with pytest.raises(ValueError, match="The column person tells them apart"):
         read_demonstrations([path], SPACE)

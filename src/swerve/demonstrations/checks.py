@@ -51,6 +51,7 @@ def check_states(
     where: str,
     *,
     line_of: Callable[[int], int] | None = None,
+    time_name: str = "t",
 ) -> None:
     """Check the states of a demonstration before anything is computed from them.
 
@@ -60,6 +61,7 @@ def check_states(
       space: names, angles and bounds of the states.
       where: the file or demonstration, for messages.
       line_of: maps a row, counted from 0, to its line in the file.
+      time_name: name of the column that holds the times, for messages.
 
     Raises:
       ValueError: if there are fewer than 2 states, a number is NaN or infinite, the times do not
@@ -68,7 +70,7 @@ def check_states(
         angle), a state on a lattice is not a whole number, or an angle changes by more than MAX_ARC
         [rad] between two states.
     """
-    check_path(states, times, space, where, line_of=line_of)
+    check_path(states, times, space, where, line_of=line_of, time_name=time_name)
     at = row_namer(where, line_of)
     if not are_plausible(states, space):
         check_finite(states, space.names, at)
@@ -85,13 +87,15 @@ def check_path(
     where: str,
     *,
     line_of: Callable[[int], int] | None = None,
+    time_name: str = "t",
 ) -> None:
     """Check the number of states, the number of their components, and the times."""
     states = shaped(states, (None, len(space.names)), "states", where)
     if len(states) < 2:
         raise ValueError(f"{where}: expected at least 2 states, got {len(states)}")
     if times is not None:
-        _check_times(shaped(times, (len(states),), "times", where), row_namer(where, line_of))
+        times = shaped(times, (len(states),), "times", where)
+        _check_times(times, row_namer(where, line_of), time_name)
 
 
 def are_plausible(states: np.ndarray, space: StateSpace) -> bool:
@@ -139,17 +143,17 @@ def check_finite(values: np.ndarray, names: Sequence[str], at: RowNamer) -> None
         )
 
 
-def _check_times(times: np.ndarray, at: RowNamer) -> None:
+def _check_times(times: np.ndarray, at: RowNamer, name: str) -> None:
     rises = (times[1:] > times[:-1]).all()
     if rises and math.isfinite(times[0]) and math.isfinite(times[-1]):
         return
-    check_finite(times[:, None], ["t"], at)
+    check_finite(times[:, None], [name], at)
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         before, after = (float(time) for time in times[late[0] : late[0] + 2])
         raise ValueError(
-            f"{at(late[0])} has t = {before!r} and row {late[0] + 2} has t = {after!r}; expected "
-            f"times that strictly increase: {_order_advice(times)}"
+            f"{at(late[0])} has {name} = {before!r} and row {late[0] + 2} has {name} = {after!r}; "
+            f"expected times that strictly increase: {_order_advice(times)}"
         )
 
 

@@ -9,10 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from swerve.demonstrations.csv_format import read_csv
-from swerve.demonstrations.headers import are_times, time_column
 from swerve.demonstrations.parquet_format import read_parquet
 from swerve.demonstrations.tables import Table
 
@@ -44,19 +41,3 @@ def read_table(
     if not len(table.values):
         raise ValueError(f"{path}: a header and no rows; expected one row for each state or task")
     return table
-
-
-def with_times(path: Path, table: Table) -> Table:
-    """Return a table with the column `t` as well, where the name of another column says time."""
-    name = None if "t" in table.names else time_column(table.unread)
-    if name is None:
-        return table
-    try:
-        values = read_table(path, [name]).values
-    except ValueError:  # dates, or blank cells
-        return table
-    if not are_times(values[:, 0]):
-        return table
-    unread = tuple(other for other in table.unread if other != name)
-    joined = np.hstack([table.values, values])
-    return table._replace(names=[*table.names, "t"], values=joined, unread=unread)

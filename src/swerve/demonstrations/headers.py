@@ -1,8 +1,9 @@
 """Understand the names of columns: which one holds the times, and which one is misspelt.
 
 Times are read from a column `t`, in seconds. Without such a column, the only column whose name says
-time, such as `time`, `T`, `t [s]` or `timestamp`, is taken for it. A column that is not taken is
-told, since durations, rates and speeds are not checked without times.
+time, such as `time`, `T`, `t [s]` or `timestamp`, is taken for it if its numbers can be seconds: a
+temperature `T`, or a `timestamp` in nanoseconds, is not. A column that is not taken is told, since
+durations, rates and speeds are not checked without times.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ SECONDS = "s|sec|secs|seconds?"
 OTHERS = "[mµun]s|msecs?|millis|nsecs?|nanos|mins?|minutes?|h|hours?"
 TIME = re.compile(rf"(?:{WORDS})(?:[ _]*[\[(]?(?:{SECONDS})[\])]?)?", re.IGNORECASE)
 OTHER_TIME = re.compile(rf"(?:{WORDS})[ _]*[\[(]?(?:{OTHERS})[\])]?", re.IGNORECASE)
+MOST_SECONDS = 1e11  # since 1970 this is the year 5138: larger numbers are of another unit
 UNIT = re.compile(r"[\[(][^\])]*[\])]")
 
 
@@ -28,10 +30,14 @@ def time_column(names: Sequence[str]) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def are_times(values: np.ndarray) -> bool:
-    """Return whether values [L] may be times: some rise, or some fall as in several recordings."""
-    changes = np.diff(values)
-    return bool(np.isfinite(values).all() and ((changes > 0.0).all() or (changes < 0.0).any()))
+def can_be_seconds(values: np.ndarray) -> bool:
+    """Return whether values [L] are finite, and not too large for seconds."""
+    return bool(np.isfinite(values).all() and np.abs(values).max(initial=0.0) <= MOST_SECONDS)
+
+
+def tells_recordings(name: str) -> bool:
+    """Return whether a column of this name may tell recordings apart: hours and minutes do not."""
+    return not re.fullmatch(OTHERS, name, re.IGNORECASE)
 
 
 def notes_on_columns(unread: Sequence[str], missing: Sequence[str]) -> tuple[str, ...]:
@@ -45,8 +51,9 @@ def notes_on_columns(unread: Sequence[str], missing: Sequence[str]) -> tuple[str
     times = [name for name in unread if TIME.fullmatch(name) or OTHER_TIME.fullmatch(name)]
     if times and "t" in missing:
         notes.append(
-            f"has no column t, and {_listed(times)} was not taken for it: durations, rates and "
-            "speeds are not checked. Name the times t, in seconds"
+            f"has no column t, and {_listed(times)} was not taken for it: expected one "
+            "column of seconds that strictly increase. Durations, rates and speeds are not "
+            "checked: convert the times to seconds, and name them t"
         )
     notes += [
         f"has no column {name}, and {_listed([near])} was not taken for it: rename the column"

@@ -17,9 +17,17 @@ import numpy as np
 from swerve.base.phrases import shown
 from swerve.base.space import StateSpace
 from swerve.demonstrations.checks import check_finite, check_states, row_namer
-from swerve.demonstrations.formats import read_table, with_times
-from swerve.demonstrations.headers import notes_on_columns
+from swerve.demonstrations.formats import read_table
+from swerve.demonstrations.headers import (
+    can_be_seconds,
+    notes_on_columns,
+    tells_recordings,
+    time_column,
+)
 from swerve.demonstrations.tables import Table
+
+LEAST_ROWS = 5  # of each recording in a file, where no column tells them apart
+SAME_START = 0.1  # of the shortest recording: the recordings in a file begin so nearly alike
 
 
 class Recording(NamedTuple):
@@ -38,10 +46,12 @@ def read_recording(path: Path, space: StateSpace, action_names: Sequence[str]) -
       ValueError: if the file cannot be understood, holds several recordings, has some of the
         actions alone, or its states fail `check_states`.
     """
-    table = with_times(path, read_table(path, space.names, optional=("t", *action_names)))
+    table, time_name = _with_times(
+        path, read_table(path, space.names, optional=("t", *action_names))
+    )
     states = table.columns(space.names)
     times = table.columns(["t"])[:, 0] if "t" in table.names else None
-    _check_recording(path, table, states, times, space)
+    _check_recording(path, table, times, time_name, space)
     absent = [name for name in ("t", *action_names) if name not in table.names]
     notes = notes_on_columns(table.unread, absent)
     missing = [name for name in absent if name != "t"]
@@ -59,12 +69,47 @@ def read_recording(path: Path, space: StateSpace, action_names: Sequence[str]) -
     return Recording(states, times, actions, notes)
 
 
+def _with_times(path: Path, table: Table) -> tuple[Table, str]:
+    """Return a table with the column `t` as well, and the name of that column in the file.
+
+    Where there is no column `t`, another column whose name says time is taken for it if its numbers
+    strictly increase. Times of several recordings are taken too, so that the file is refused.
+    """
+    name = None if "t" in table.names else time_column(table.unread)
+    if name is None:
+        return table, "t"
+    try:
+        times = read_table(path, [name]).values[:, 0]
+    except ValueError:  # dates, or blank cells
+        return table, "t"
+    unread = tuple(other for other in table.unread if other != name)
+    is_time = can_be_seconds(times) and (
+        bool((np.diff(times) > 0.0).all())
+        or _begin_alike(times)
+        or _telling_column(path, unread, times) != ""
+    )
+    if not is_time:
+        return table, "t"
+    joined = np.column_stack([table.values, times])
+    return table._replace(names=[*table.names, "t"], values=joined, unread=unread), name
+
+
+def _begin_alike(times: np.ndarray) -> bool:
+    """Return whether times [L] are of recordings below one another that begin at about one time."""
+    pieces = np.split(times, np.flatnonzero(np.diff(times) <= 0.0) + 1)
+    shortest = min(piece[-1] - piece[0] for piece in pieces)
+    starts = [piece[0] for piece in pieces]
+    spread = max(starts) - min(starts)
+    return min(map(len, pieces)) >= LEAST_ROWS and bool(spread <= SAME_START * shortest)
+
+
 def _check_recording(
-    path: Path, table: Table, states: np.ndarray, times: np.ndarray | None, space: StateSpace
+    path: Path, table: Table, times: np.ndarray | None, time_name: str, space: StateSpace
 ) -> None:
     """Check states and times; where they are of several recordings, name what tells them apart."""
+    states, named = table.columns(space.names), shown(time_name)
     try:
-        check_states(states, times, space, str(path), line_of=table.line_of)
+        check_states(states, times, space, str(path), line_of=table.line_of, time_name=named)
     except ValueError as error:
         if times is None or "several recordings" not in str(error):
             raise
@@ -82,7 +127,7 @@ def _telling_column(path: Path, names: Sequence[str], times: np.ndarray) -> str:
       names: columns that may tell recordings apart.
       times: [L] times of the rows.
     """
-    for name in names:
+    for name in filter(tells_recordings, names):
         try:
             values = read_table(path, [name]).values[:, 0]
         except ValueError:  # no numbers
