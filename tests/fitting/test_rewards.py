@@ -78,6 +78,11 @@ class TestRewards:
             ({"actions": np.ones((4, 2))}, "a: expected actions force, got 2 of them"),
             ({"actions": np.full((4, 1), np.nan)}, "a: row 1, column force: expected a finite"),
             ({"times": 2.0 * np.arange(5)}, "a: 16 steps, more than the horizon of 7"),
+            (
+                {"times": 1.7e18 + 5e7 * np.arange(5)},
+                r"a: lasts 2e\+08 s, and the model's episodes at most 3.5 s: another unit of t\?",
+            ),
+            ({"times": 1e300 * np.arange(5)}, "a: lasts .* another unit of t.* to seconds$"),
             ({"actions": np.full((4, 1), 1e30)}, "a: expected a finite total reward, got -inf"),
         ],
     )

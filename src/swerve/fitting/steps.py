@@ -23,6 +23,7 @@ from swerve.problem.mdp import MDP
 from swerve.systems.tabular import TabularMDP
 
 ON_TIME = 1e-3  # of a step: rows as close as this to the MDP's time steps are not interpolated
+MAX_HORIZONS = 1000  # rows may rest after the end of an episode, but not for longer than this
 
 
 class Steps(NamedTuple):
@@ -52,7 +53,8 @@ def steps_taken(mdp: MDP, demonstration: Demonstration) -> Steps:
 
     Raises:
       ValueError: if actions are missing and cannot be found, a step is impossible, or the
-        demonstration goes on for more steps than the horizon.
+        demonstration goes on for more steps than the horizon, or lasts for more than MAX_HORIZONS
+        horizons.
     """
     rows = _at_steps(mdp, demonstration)
     if isinstance(mdp, TabularMDP):
@@ -83,6 +85,7 @@ def _at_steps(mdp: MDP, demonstration: Demonstration) -> _Rows:
     if demonstration.times is None or not mdp.is_timed:
         return _Rows(states, actions)
     elapsed, slack = demonstration.times - demonstration.times[0], ON_TIME * mdp.dt
+    _check_duration(float(elapsed[-1]), mdp, demonstration.name)
     wanted = mdp.dt * np.arange(max(1, round(elapsed[-1] / mdp.dt)) + 1)
     wanted[-1] = elapsed[-1]
     before = _row_before(wanted, elapsed)
@@ -96,6 +99,16 @@ def _at_steps(mdp: MDP, demonstration: Demonstration) -> _Rows:
         middle = 0.5 * (wanted[:-1] + wanted[1:])
         actions = actions[_row_before(middle - slack, elapsed)]
     return _Rows(path, actions)
+
+
+def _check_duration(duration: float, mdp: MDP, name: str) -> None:
+    """Raise ValueError where a duration [s] is so long that its steps might not fit in memory."""
+    horizon = mdp.num_steps * mdp.dt
+    if duration > MAX_HORIZONS * horizon:
+        raise ValueError(
+            f"{name}: lasts {duration:.4g} s, and the model's episodes at most {horizon:.4g} s: "
+            "another unit of t? Convert the times to seconds"
+        )
 
 
 def _row_before(wanted: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
