@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -140,3 +141,58 @@ def test_a_command_ends_with_130_in_one_line(caught: str, twice: bool) -> None:
         _, errors = run.communicate(timeout=30)
     assert run.returncode == 130
     assert errors == ("" if twice else "interrupted\n")
+
+
+SAVING = """
+import sys, time
+from pathlib import Path
+from swerve.base import interrupts
+from swerve.base.files import replace
+from swerve.cli import app
+
+def write_slowly(file):
+    print("saving", flush=True)
+    time.sleep({seconds})
+    file.write(b"all of it")
+
+def command():
+    try:
+        print("go", flush=True)
+        time.sleep({work})
+    finally:
+        replace(Path({path!r}), write_slowly)
+    time.sleep(60)
+
+interrupts.INSIST = 0.1
+app.app.command(command)
+interrupts.listen()
+sys.argv = ["swerve", "command"]
+app.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("work", "seconds", "moments", "is_kept"),
+    [
+        (60, 0.5, ("go",), True),  # it comes again while the file is written
+        (0, 0.5, ("saving",), True),  # the first one waits too
+        (60, 60, ("go", "saving"), False),  # a second one does not
+    ],
+)
+def test_an_interrupt_waits_while_results_are_saved(
+    work: float, seconds: float, moments: tuple[str, ...], is_kept: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "kept"
+    code = SAVING.format(work=work, seconds=seconds, path=str(path))
+    pipe: Any = subprocess.PIPE
+    run = subprocess.Popen([sys.executable, "-c", code], stdout=pipe, stderr=pipe, text=True)
+    with run:
+        assert run.stdout is not None
+        for line in ("go", "saving"):
+            assert run.stdout.readline() == f"{line}\n"
+            if line in moments:
+                run.send_signal(signal.SIGINT)
+        _, errors = run.communicate(timeout=30)
+    assert run.returncode == 130
+    assert errors == ("interrupted\n" if is_kept else "")
+    assert path.exists() == is_kept

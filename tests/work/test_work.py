@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import pytest
 from support.command import SOLVER, SPACE, Run, infer
 
-from swerve.base import store
+from swerve.base import interrupts, store
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import read_demonstrations
 from swerve.evidence.evidence import Evidence
 from swerve.sampling import sample as sampling
+from swerve.work.folder import WorkFolder
 from swerve.work.settings import Settings
 from swerve.work.work import Work
 
@@ -101,6 +104,20 @@ def test_the_seed_of_learning_is_remembered(
     assert len(list(work.glob("*.nominal"))) == 2
 
 
+def interrupted_again_while_saving(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the interrupt come again before the evidence is written, as where that takes long."""
+    add = WorkFolder.add_evidence
+
+    def slowly(self: WorkFolder, *arguments: Any) -> None:
+        interrupts._expected.append(None)
+        interrupts._interrupt(signal.SIGINT, None)
+        add(self, *arguments)
+
+    monkeypatch.setattr(interrupts, "_asked", [None])
+    monkeypatch.setattr(interrupts, "_again", lambda seconds: None)
+    monkeypatch.setattr(WorkFolder, "add_evidence", slowly)
+
+
 def test_what_is_finished_is_kept_when_sampling_is_interrupted(
     robot: str,
     run: Run,
@@ -116,7 +133,9 @@ def test_what_is_finished_is_kept_when_sampling_is_interrupted(
 
     monkeypatch.setattr("swerve.sampling.sample.sample_each", interrupted)
     arguments = infer(robot, demonstrations, work, "--solver", SOLVER, "--json")
-    status, _, said = run(*arguments)
+    with monkeypatch.context() as slow:
+        interrupted_again_while_saving(slow)
+        status, _, said = run(*arguments)
     assert status == 130
     assert "the same command goes on" in said
     [path] = work.glob("*.evidence")

@@ -20,6 +20,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from swerve.base.interrupts import saving
+
 AnyPath = str | os.PathLike[str]
 
 TEMPORARY = re.compile(r"\.swerve\.[0-9a-f]{16}\.tmp")
@@ -65,12 +67,13 @@ def replace(path: Path, write_to: Callable[[BinaryIO], object]) -> None:
     _check_replaceable(path)
     try:
         make_folder(path.parent)
-        with _temporary_file(path.parent) as (temporary, file):
-            write_to(file)
-            file.flush()
-            os.fsync(file.fileno())
-            temporary.replace(path)
-        _sync_folder(path.parent)
+        with saving():
+            with _temporary_file(path.parent) as (temporary, file):
+                write_to(file)
+                file.flush()
+                os.fsync(file.fileno())
+                temporary.replace(path)
+            _sync_folder(path.parent)
     except OSError as error:
         raise _cannot_write(path.parent, error, path.name) from error
 

@@ -2,7 +2,8 @@
 
 Python raises KeyboardInterrupt wherever the main thread is. Inside a callback, such as JAX's own of
 the garbage collector, or a destructor, nobody can catch the error: Python prints it, drops it, and
-goes on. Here the dropped interrupt comes again a moment later.
+goes on. Here the dropped interrupt comes again a moment later. While results are saved no interrupt
+is raised.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ _lock = threading.Lock()
 _pending: list[None] = []  # an interrupt that is to come again
 _expected: list[None] = []  # interrupts that come again, told from new ones
 _asked: list[None] = []  # interrupts that were taken since `listen`
+_saving: list[None] = []  # blocks of `saving` that are open
 _before: list[Any] = []  # what took dropped errors before each block of `heeded`
 
 
@@ -50,6 +52,22 @@ def heeded() -> Iterator[None]:
                 if sys.unraisablehook is _take_dropped:
                     sys.unraisablehook = before
     if is_pending:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def saving() -> Iterator[None]:
+    """Let interrupts wait, in a command, until the block has saved what an interrupt would lose.
+
+    A second Ctrl-C ends the command at once here too.
+    """
+    num_before = len(_asked)
+    _saving.append(None)
+    try:
+        yield
+    finally:
+        _saving.pop()
+    if len(_asked) > num_before and not _saving:
         raise KeyboardInterrupt
 
 
@@ -97,7 +115,8 @@ def _interrupt(number: int, frame: Any) -> None:
         os._exit(STATUS)
     _asked.append(None)
     _again(INSIST)
-    raise KeyboardInterrupt
+    if not _saving:
+        raise KeyboardInterrupt
 
 
 def leave(number: int = 0, frame: Any = None) -> None:

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from swerve.base.files import AnyPath, whole_folder, write_text
+from swerve.base.interrupts import saving
 from swerve.base.space import StateSpace, Task
 from swerve.demonstrations.checks import (
     check_bounds,
@@ -235,7 +236,7 @@ def write_demonstrations(
         texts[path] = _trajectory_text(item, space, action_names)
     directory = Path(directory)
     place = nullcontext(directory) if directory.exists() else whole_folder(directory)
-    with place as folder:
+    with saving(), place as folder:
         for path, text in texts.items():
             write_text(folder / path.name, text)
     return paths

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from swerve.base import files
+from swerve.base.interrupts import saving
 from swerve.demonstrations.demonstration import (
     Demonstration,
     read_demonstrations,
@@ -42,7 +43,7 @@ def kept_optima(
         with keeping.clock.timing(f"{name}: demonstrations"):
             made = _optima(keeping, problem, truth, num, settings)
         names = problem.mdp.action_names
-        with files.whole_folder(folder) as partial:
+        with saving(), files.whole_folder(folder) as partial:
             write_demonstrations(partial, made, problem.mdp.space, action_names=names)
     found = read_folder(folder, problem)
     if len(found) != num:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swerve.base.interrupts import saving
 from swerve.base.phrases import counted, duration, some_names
 from swerve.base.solver_kinds import kind_named
 from swerve.base.space import Task
@@ -283,8 +284,9 @@ class Work:
     def _save(self, found: list[Evidence]) -> None:
         """Add evidence to the folder, which has been prepared."""
         if self._folder is not None:
-            evidence = found[0].joined(*found[1:])
-            self._folder.add_evidence(evidence, self.settings, self._stages.load().record)
+            with saving():
+                evidence = found[0].joined(*found[1:])
+                self._folder.add_evidence(evidence, self.settings, self._stages.load().record)
 
     def _stored_evidence(
         self, record: ProblemRecord | None, method: str | None = None
