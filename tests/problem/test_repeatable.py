@@ -6,9 +6,11 @@ import itertools
 import random
 import time
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.core import Tracer
 from support.small_mdps import Bare, Height
 
 import swerve
@@ -66,6 +68,13 @@ class Tracing(Bare):
         return state + action
 
 
+class Jitted(Bare):
+    """Its dynamics draw a little noise inside a function that JAX compiles."""
+
+    def dynamics(self, state, action):
+        return jax.jit(lambda x: x + 1e-6 * generator.normal(size=2))(state + action)
+
+
 class Two(Bare):
     """Its dynamics are others, always the same, while JAX traces them."""
 
@@ -86,6 +95,7 @@ class Two(Bare):
         (Ending(), "Ending.terminated: "),
         (Clock(), "Clock.terminal_reward: called twice with the same arguments, it returned"),
         (Tracing(), "Tracing.dynamics: traced twice by JAX, it gave two different programs"),
+        (Jitted(), "Jitted.dynamics: called twice with the same arguments, it returned"),
         (Two(), r"Two.dynamics: it returned \[.*\], and traced by JAX \["),
     ],
 )
@@ -118,10 +128,11 @@ def test_an_mdp_is_checked_once() -> None:
 
     class Called(Bare):
         def dynamics(self, state, action):
-            calls.append(1)
+            calls.append("traced" if isinstance(state, Tracer) else "called")
             return state + action
 
     check_repeatable(Called(), "a")
+    assert calls.count("called") == 1  # a loop is compiled anew with each call
     num = len(calls)
     check_repeatable(Called(), "a")
     assert len(calls) == num > 0

@@ -10,14 +10,14 @@ Shapes: n state dimensions.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 
 from swerve.base.space import StateSpace
 from swerve.constraints.base import Constraint
@@ -26,7 +26,7 @@ from swerve.problem.boundary import actions_of
 NUM_STATES = 256  # states on which a predicate is tried
 GOLDEN = 0.6180339887  # its multiples are spread evenly, and hit no round number
 ROUNDING = 1e-4  # relative difference that compiling may make
-NUM_CALLS, NUM_TRACES = 5, 3  # a coin falls on the same side so many times in 1 of 128 cases
+NUM_TRACES = 7  # and a call: a coin falls on the same side so many times in 1 of 128 cases
 EDGES = 0.02  # share of the states that NumPy and JAX may judge differently: those on edges
 REMEDY = (
     "expected a function of its arguments alone. Take counters, random numbers (numpy.random, "
@@ -104,22 +104,28 @@ def _somewhere(space: StateSpace, k: int) -> jax.Array:
 
 
 def _check_method(label: str, method: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    """Call a method several times, trace it several times, and compare."""
-    values = [np.asarray(method(*arguments), float) for _ in range(NUM_CALLS)]
-    first = values[0]
-    for value in values[1:]:
-        if not np.array_equal(first, value, equal_nan=True):
-            raise ValueError(
-                f"{label}: called twice with the same arguments, it returned {first.tolist()} and "
-                f"{value.tolist()}: {REMEDY}"
-            )
+    """Call a method, trace it several times, and compare.
+
+    It is called as seldom as can be: JAX compiles a loop anew with each call.
+    """
+
+    def call() -> np.ndarray:
+        return np.asarray(method(*arguments), float)
 
     def trace() -> Any:
         return jax.make_jaxpr(lambda *given: method(*given))(*arguments)  # noqa: PLW0108  # traced anew
 
-    program = trace()
+    first, program = call(), trace()
     if not all(_are_same(program, trace()) for _ in range(NUM_TRACES - 1)):
-        raise ValueError(f"{label}: traced twice by JAX, it gave two different programs: {REMEDY}")
+        again = call()
+        if np.array_equal(first, again, equal_nan=True):
+            found = "traced twice by JAX, it gave two different programs"
+        else:
+            found = (
+                "called twice with the same arguments, it returned "
+                f"{first.tolist()} and {again.tolist()}"
+            )
+        raise ValueError(f"{label}: {found}: {REMEDY}")
     traced = np.asarray(jaxpr_as_fun(program)(*arguments)[0])
     if not np.allclose(traced.astype(float), first, ROUNDING, ROUNDING, equal_nan=True):
         raise ValueError(
@@ -130,9 +136,17 @@ def _check_method(label: str, method: Callable[..., Any], arguments: tuple[Any, 
 def _are_same(program: Any, other: Any) -> bool:
     """Return whether two traced programs have the same text and the same constants."""
     texts = (re.sub("0x[0-9a-f]+", "", str(one)) for one in (program, other))  # less addresses
-    if len(set(texts)) > 1 or len(program.consts) != len(other.consts):
+    constants, others = list(_constants(program)), list(_constants(other))
+    if len(set(texts)) > 1 or len(constants) != len(others):
         return False
-    pairs = (
-        (np.asarray(a), np.asarray(b)) for a, b in zip(program.consts, other.consts, strict=True)
-    )
+    pairs = ((np.asarray(a), np.asarray(b)) for a, b in zip(constants, others, strict=True))
     return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
+
+
+def _constants(program: Any) -> Iterator[Any]:
+    """Yield the constants of a traced program and of the programs inside it, as of loops."""
+    yield from getattr(program, "consts", ())
+    for equation in program.eqns:
+        for leaf in jax.tree.leaves(equation.params):
+            if isinstance(leaf, ClosedJaxpr | Jaxpr):
+                yield from _constants(leaf)
