@@ -117,6 +117,28 @@ class TestSideOfAnEdge:
             assert by_jax(lambda s: above.contains(s, PENDULUM), states).all()
             assert not by_jax(lambda s: below.contains(s, PENDULUM), states).any()
 
+    @pytest.mark.parametrize("turns", [-120, -16, 15, 100])
+    def test_an_interval_many_turns_away(self, turns: int) -> None:
+        theta = np.arange(0.05, TWO_PI, 0.1)
+        states = np.stack([theta, np.zeros(len(theta))], axis=-1)
+        low = 1.0 + TWO_PI * turns
+        expected = (theta >= 1.0) & (theta < 2.0)
+        inside = Box(theta=(low, low + 1.0)).contains(states, PENDULUM)
+        np.testing.assert_array_equal(inside, expected)
+        cells = grid(theta=(low, low + 1.0, 1)).cells(states, PENDULUM)
+        np.testing.assert_array_equal(cells == 0, expected)
+
+    @pytest.mark.parametrize("turn", [6.283185, 6.2831853, TWO_PI])
+    def test_a_full_turn_in_decimals(self, turn: float) -> None:
+        cells = grid(theta=(0.0, turn, 7))
+        ends = np.array([0.0, turn, TWO_PI])
+        theta = around(np.concatenate([ends + TWO_PI * k for k in range(-3, 4)]))
+        states = np.stack([theta, np.zeros(len(theta))], axis=-1)
+        boxes = [cells.constraint(k).contains(states, PENDULUM) for k in range(7)]
+        found = cells.cells(states, PENDULUM)
+        np.testing.assert_array_equal(np.sum(boxes, axis=0), 1)
+        np.testing.assert_array_equal(np.argmax(boxes, axis=0), found)
+
     def test_every_float_near_a_line_of_an_angle_is_in_one_cell(self) -> None:
         cells = grid(theta=(-math.pi, math.pi, 7), omega=(-6.0, 6.0, 10))
         lines = -math.pi + TWO_PI / 7 * np.arange(8)

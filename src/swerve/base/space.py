@@ -140,7 +140,7 @@ def wide(values: Any) -> Any:
 
 def is_full_turn(low: float, high: float) -> bool:
     """Return whether an interval of an angle is a full turn, which has no ends."""
-    return high - low > TWO_PI * (1 - 1e-9)
+    return high - low > TWO_PI * (1 - RESOLUTION)
 
 
 @dataclass(frozen=True, eq=False)

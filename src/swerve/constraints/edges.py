@@ -43,11 +43,19 @@ def coordinate(states: Any, space: StateSpace, name: str) -> Any:
     return xp.where(xp.abs(values) <= MAX_TURNS * TWO_PI, values, near)
 
 
+def near_zero(low: float, high: float) -> tuple[float, float]:
+    """Return an interval of an angle moved by whole turns, where it lies beyond MAX_TURNS turns."""
+    turns = TWO_PI * round(low / TWO_PI) if abs(low) > MAX_TURNS * TWO_PI else 0.0
+    return low - turns, high - turns
+
+
 class Interval:
     """A half-open interval [low, high) of one state, repeated at every turn for an angle."""
 
     def __init__(self, low: float, high: float, resolution: float, is_angle: bool) -> None:
         turns = TURNS if is_angle else np.zeros(1)
+        if is_angle:
+            low, high = near_zero(low, high)
         self._low, self._is_angle, self._resolution = low - resolution, is_angle, resolution
         self._lows, self._highs = (threshold(edge + turns, resolution) for edge in (low, high))
         self.is_everything = is_angle and is_full_turn(low, high)

@@ -166,8 +166,12 @@ class Occupancy(Constraint):
     def _is_blocked(self, index: Sequence[Any]) -> Any:
         """Return [...] True where the cell of column and row [...] is blocked or off the map."""
         column, row = index
-        framed = np.pad(self.blocked, 1, constant_values=True)
-        return column.__array_namespace__().asarray(framed)[row + 1, column + 1]
+        return column.__array_namespace__().asarray(self._framed)[row + 1, column + 1]
+
+    @cached_property
+    def _framed(self) -> np.ndarray:
+        """[R + 2, C + 2] the map in a frame of blocked cells, which stand for what is beyond."""
+        return np.pad(self.blocked, 1, constant_values=True)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data; the map is packed to bits and compressed."""

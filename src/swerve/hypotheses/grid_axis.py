@@ -14,14 +14,14 @@ import math
 
 import numpy as np
 
-from swerve.base.space import TWO_PI, StateSpace, is_full_turn
-from swerve.constraints.edges import TURNS, ZERO, coordinate, part, threshold
+from swerve.base.space import RESOLUTION, TWO_PI, StateSpace, is_full_turn
+from swerve.constraints.edges import TURNS, ZERO, coordinate, near_zero, part, threshold
 
 
 def grid_lines(low: float, high: float, count: int) -> np.ndarray:
     """Return the count + 1 lines of a grid; a range of about a full turn ends exactly there."""
     lines = low + np.arange(count + 1) * ((high - low) / count)
-    if math.isclose(high - low, TWO_PI, rel_tol=1e-9):
+    if math.isclose(high - low, TWO_PI, rel_tol=RESOLUTION):
         lines[-1] = low + TWO_PI
     return lines
 
@@ -38,6 +38,8 @@ class GridAxis:
         self._space, self._name, self.count = space, name, count
         self.column = space.column(name)
         self.is_angle = name in space.angles
+        if self.is_angle:
+            low, high = near_zero(low, high)
         self.resolution = float(space.resolution[self.column])
         self.width = (high - low) / count
         self.period = count if self.is_angle and is_full_turn(low, high) else count + 1

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from swerve.base.arguments import whole_number
-from swerve.base.space import TWO_PI, Actions, StateSpace
+from swerve.base.space import RESOLUTION, TWO_PI, Actions, StateSpace
 from swerve.hypotheses.bits import no_bits, pack, unpack
 from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
 from swerve.hypotheses.grid_axis import grid_lines
@@ -47,7 +47,8 @@ class WindowHypotheses(BoxHypotheses):
             cells[name] = (low, low + count * width / self.overlap, count)
         self._cells = GridHypotheses(cells)
         self._goes_round = [
-            abs(high - low - TWO_PI) < ROUNDING for low, high, _ in self._cells.axes.values()
+            math.isclose(high - low, TWO_PI, rel_tol=RESOLUTION)
+            for low, high, _ in self._cells.axes.values()
         ]
         self.shape = tuple(
             count if goes_round else count - self.overlap + 1
