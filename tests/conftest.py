@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import os
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -34,11 +35,17 @@ def pytest_configure(config: pytest.Config) -> None:
         cores = sorted(os.sched_getaffinity(0))
         num_workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
         os.sched_setaffinity(0, cores[worker::num_workers] or cores)
+    heed_interrupts()
     folder = tempfile.TemporaryDirectory(prefix="swerve-tests-")  # of this run alone
     config.add_cleanup(folder.cleanup)
     Path(folder.name).chmod(0o777)  # see `nobody`
     jax.config.update("jax_compilation_cache_dir", folder.name)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def heed_interrupts() -> None:
+    """Let the processes that tests start heed SIGINT, although this one may ignore it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -81,6 +88,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
             status = 0
         except SystemExit as stop:
             status = stop.code if isinstance(stop.code, int) else 1
+        heed_interrupts()  # which an interrupted command ignores while it ends
         captured = capsys.readouterr()
         return status, captured.out, captured.err
 

@@ -16,6 +16,7 @@ import pytest
 from support.command import CONSTRAINT, ROBOT, SOLVER, infer
 
 from swerve.base.files import TEMPORARY
+from swerve.base.version import VERSION
 
 NUM_MOMENTS = 20
 START = "from swerve.cli.start import main; print('go', flush=True); main()"
@@ -85,3 +86,18 @@ def test_while_importing() -> None:
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate(timeout=30)
     assert (run.returncode, errors) in ((130, "interrupted\n"), (0, ""))
+
+
+def test_a_command_that_is_to_ignore_it_goes_on() -> None:
+    """Such as one that a script began with &: the Ctrl-C is for the commands in front."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the command inherits
+    try:
+        run = started(["--version"])
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    with run:
+        while run.poll() is None:
+            run.send_signal(signal.SIGINT)
+            time.sleep(0.01)
+        told, errors = run.communicate()
+    assert (run.returncode, told, errors) == (0, f"{VERSION}\n", "")

@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -98,9 +98,15 @@ def _wait_and_ask(seconds: float) -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
+def take(handler: Callable[[int, Any], None]) -> None:
+    """Take SIGINT by a handler, unless it is ignored: a script began the command with &."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, handler)
+
+
 def listen() -> None:
     """Take SIGINT in a command: KeyboardInterrupt until heeded; a second Ctrl-C ends it at once."""
-    signal.signal(signal.SIGINT, _interrupt)
+    take(_interrupt)
 
 
 def is_asked() -> bool:
@@ -120,6 +126,6 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def leave(number: int = 0, frame: Any = None) -> None:
-    """End the process at once, where nothing has begun or everything is done; for `signal`."""
+    """End the process at once, where nothing has begun or everything is done; for `take`."""
     os.write(2, b"interrupted\n")
     os._exit(STATUS)

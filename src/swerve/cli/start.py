@@ -1,16 +1,16 @@
 """Start the `swerve` command: Ctrl-C ends it with status 130 at any moment, imports included.
 
-Importing this module takes SIGINT: only the command may.
+Importing this module takes SIGINT: only the command may. A process that was started to ignore it
+goes on ignoring it.
 """
 
 from __future__ import annotations
 
-import signal
 import sys
 
-from swerve.base.interrupts import leave, listen
+from swerve.base.interrupts import leave, listen, take
 
-signal.signal(signal.SIGINT, leave)  # nothing has begun
+take(leave)  # nothing has begun
 
 
 def main() -> None:
@@ -25,4 +25,4 @@ def main() -> None:
     finally:
         if sys.stdout is not None:
             sys.stdout.flush()
-        signal.signal(signal.SIGINT, leave)  # everything is done
+        take(leave)  # everything is done
