@@ -100,6 +100,89 @@ class TestLibraries:
         assert answer(folder, sys.executable, "html.py") == expected
 
 
+READER = """
+import importlib, importlib.util, pickle
+
+def optional():
+    try:
+        import absent_part
+        return True
+    except ModuleNotFoundError:
+        return importlib.util.find_spec("absent_part") is not None
+
+def fixed():
+    return importlib.import_module("absent_part")
+
+def given(name):
+    return importlib.import_module(name)
+
+read = pickle.loads
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A folder for scripts, in which a library does not find what it may do without."""
+    shadowed(tmp_path / "here", ("absent_part",))
+    library = tmp_path / "site-packages"
+    library.mkdir()
+    (library / "reader_of_parts.py").write_text(READER)
+    return tmp_path / "here"
+
+
+def said_by(place: Path, script: str) -> object:
+    """Return what a script prints beside the files of a folder."""
+    library = str(place.parent / "site-packages")
+    start = f"import json, sys\nsys.path.append({library!r})\n"
+    (place / "start.py").write_text(f"{start}{script}")
+    return answer(place, sys.executable, "start.py")
+
+
+class TestOptionalModules:
+    @pytest.mark.parametrize("first", ["", "sys.path.insert(0, 'lib')", "sys.path.append('.')"])
+    def test_of_a_library_are_not_those_of_the_user(self, place: Path, first: str) -> None:
+        script = f"""{first}
+import swerve, reader_of_parts
+try:
+    fixed = reader_of_parts.fixed()
+except ModuleNotFoundError as error:
+    fixed = error.name
+print(json.dumps([reader_of_parts.optional(), fixed]))
+"""
+        assert said_by(place, script) == [False, "absent_part"]
+
+    def test_of_folders_named_by_the_user_are_found(self, place: Path) -> None:
+        (place / "lib").mkdir()
+        (place / "lib" / "absent_part.py").write_text("")
+        script = """sys.path.insert(0, "lib")
+import swerve, reader_of_parts
+print(json.dumps(reader_of_parts.fixed().__file__))
+"""
+        assert said_by(place, script) == str(place / "lib" / "absent_part.py")
+
+    def test_of_the_current_folder_are_found_where_a_pth_file_names_it(self, place: Path) -> None:
+        (place / "absent_part.py").write_text("")
+        (place.parent / "site-packages" / "here.pth").write_text(f"{place}\n")
+        script = "import swerve, reader_of_parts\nprint(json.dumps(reader_of_parts.optional()))\n"
+        assert said_by(place, script) is True
+
+    def test_whose_names_a_script_gives_are_found(self, place: Path) -> None:
+        (place / "model_of_cart.py").write_text("class Wheel: pass\n")
+        script = """import swerve, reader_of_parts
+wheel = reader_of_parts.read(b"cmodel_of_cart\\nWheel\\n.")
+print(json.dumps([wheel.__name__, reader_of_parts.given("model_of_cart").__name__]))
+"""
+        assert said_by(place, script) == ["Wheel", "model_of_cart"]
+
+    def test_a_cell_of_a_notebook_sees_its_folder(self, place: Path) -> None:
+        (place / "absent_part.py").write_text("BETA = 0.25\n")
+        script = """import swerve
+cell = "import absent_part; print(json.dumps(absent_part.BETA))"
+exec(compile(cell, "/elsewhere/cell_1.py", "exec"))
+"""
+        assert said_by(place, script) == 0.25
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The current folder, whose modules are forgotten afterwards."""
@@ -134,6 +217,27 @@ class TestNeighbours:
         load_problem("cart.py:problem")
         with pytest.raises(ModuleNotFoundError, match="only_of_cart"):
             importlib.import_module("only_of_cart")
+
+    @pytest.mark.parametrize("reader", ["pickle.loads", "pickle._loads"])
+    def test_are_found_by_the_name_of_a_pickled_class(self, folder: Path, reader: str) -> None:
+        (folder / "wheel_of_cart.py").write_text("class Wheel: pass\n")
+        read = f'import pickle\n{reader}(b"cwheel_of_cart\\nWheel\\n.")\n'
+        (folder / "cart.py").write_text(f"{read}{CART}")
+        assert load_problem("cart.py:problem").beta == 0.5
+
+    def test_plain_folders_hide_no_package_of_their_name(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        source = folder / "clone_of_cart" / "src"
+        (source / "clone_of_cart").mkdir(parents=True)
+        (source / "clone_of_cart" / "__init__.py").write_text("BETA = 0.25\n")
+        (source / "clone_of_cart" / "robots.py").write_text(CART)
+        text = f"from clone_of_cart import BETA\n{CART.replace('0.5', 'BETA')}"
+        (folder / "cart.py").write_text(text)
+        with monkeypatch.context() as context:
+            context.setattr(sys, "path", [*sys.path, str(source)])
+            assert load_problem("cart.py:problem").beta == 0.25
+            assert load_problem("clone_of_cart.robots:problem").beta == 0.5
 
     def test_do_not_take_the_place_of_installed_modules(self, folder: Path) -> None:
         for name in ("html", "numpy", "polars"):
