@@ -6,6 +6,8 @@ import dataclasses
 import math
 import operator
 from collections.abc import Sequence
+from decimal import Decimal
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -50,22 +52,35 @@ def real_numbers(values: Any, name: str) -> np.ndarray:
     """Return real numbers of any kind and shape as float64.
 
     Raises:
-      ValueError: if the values are complex, or not made of numbers.
+      ValueError: if the values are complex, or not made of numbers: text and dates are no numbers.
     """
     try:
         array = np.asarray(values)
-        if not np.iscomplexobj(array):
+        if array.dtype.kind in "biuf" or (array.dtype.kind == "O" and _are_numbers(array)):
             return array.astype(np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name}: expected numbers, got {values!r}") from error
-    raise ValueError(f"{name}: expected real numbers, got {values!r}")
+    expected = "real numbers" if array.dtype.kind == "c" else "numbers"
+    raise ValueError(f"{name}: expected {expected}, got {values!r}")
+
+
+def _are_numbers(objects: np.ndarray) -> bool:
+    """Return whether all objects are real numbers, such as a Decimal or a Fraction."""
+    durations = np.timedelta64  # NumPy says that they are whole numbers
+    return all(
+        isinstance(item, Real | Decimal | np.bool_) and not isinstance(item, durations)
+        for item in objects.flat
+    )
 
 
 def number_or_nan(value: Any) -> float:
     """Return a value as a float; NaN if the value is no real number, such as text, True, a list."""
     try:
-        is_other = isinstance(value, str | bool) or np.ndim(value) or np.iscomplexobj(value)
-        return math.nan if is_other else float(value)
+        return (
+            math.nan
+            if isinstance(value, bool) or np.ndim(value)
+            else float(real_numbers(value, ""))
+        )
     except (TypeError, ValueError, OverflowError):
         return math.nan
 
