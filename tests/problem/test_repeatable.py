@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import random
 import time
@@ -121,6 +122,46 @@ def test_code_that_is_the_same_each_time_is_taken() -> None:
         Problem(mdp, grid(**{mdp.state_names[1]: (-0.5, 0.5, 2)}))
     for name in ("pendulum", "car", "double-pendulum", "gridworld"):
         swerve.load_problem(name)
+
+
+KEY = jax.random.key(1)
+
+
+class Keyed(Bare):
+    """Its dynamics use a key of JAX from outside, and one of its own."""
+
+    own: jax.Array = dataclasses.field(default_factory=lambda: KEY)
+
+    def dynamics(self, state, action):
+        noise = jax.random.normal(KEY, (2,)) + jax.random.normal(self.own, (2,))
+        return state + action + 0.01 * jax.jit(lambda x: x + jax.random.normal(KEY))(noise)
+
+
+class Rekeyed(Bare):
+    """Its dynamics use a new key each time."""
+
+    def dynamics(self, state, action):
+        return state + action + 0.01 * jax.random.normal(jax.random.key(next(counter)), (2,))
+
+
+class Chosen(Bare):
+    """Its dynamics use a new key each time, which was made outside."""
+
+    keys = tuple(jax.random.key(seed) for seed in range(20))
+
+    def dynamics(self, state, action):
+        return state + 1e-6 * jax.random.normal(self.keys[next(counter) % 20], (2,))
+
+
+def test_keys_of_jax_are_constants_like_any_other() -> None:
+    keys = [KEY, jax.random.key(1), jax.random.key(2)]
+    keys += [jax.random.key(2, impl=algorithm) for algorithm in ("rbg", "unsafe_rbg")]
+    digests = [Problem(Keyed(own=key), CELLS).record.mdp_digest for key in keys]
+    assert digests[0] == digests[1]
+    assert len(set(digests)) == 4
+    for mdp in (Rekeyed(), Chosen()):
+        with pytest.raises(ValueError, match="dynamics: called twice with the same arguments"):
+            Problem(mdp, CELLS)
 
 
 def test_an_mdp_is_checked_once() -> None:

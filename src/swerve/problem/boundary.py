@@ -72,6 +72,13 @@ def actions_of(mdp: Any) -> jax.Array:
     return array.astype(jnp.int32 if is_whole else jnp.float32)
 
 
+def plain_array(value: Any) -> np.ndarray:
+    """Return an array as one of NumPy's; a key of JAX's random numbers as the numbers it holds."""
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        value = jax.random.key_data(value)
+    return np.asarray(value)
+
+
 def _flag(value: Any, origin: str) -> jax.Array:
     """Return booleans, or numbers 0 and 1, as an array of booleans."""
     array = _real(value, origin)

@@ -27,7 +27,7 @@ from swerve.constraints.base import Constraint, check_constraints
 from swerve.constraints.boxes import ActionBox
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
-from swerve.problem.boundary import actions_of
+from swerve.problem.boundary import actions_of, plain_array
 from swerve.problem.mdp import MDP, check_mdp
 from swerve.problem.record import MEASURES, ProblemRecord, digest
 from swerve.problem.repeatable import check_predicates, check_repeatable
@@ -165,10 +165,12 @@ def _mdp_digest(mdp: MDP) -> str:
         if callable(leaf):  # the bytes of a function are an address in memory
             parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
             continue
-        array = np.asarray(leaf)
+        array = plain_array(leaf)
+        kind = str(array.dtype)
         if isinstance(leaf, jax.Array):  # of 64 bits only where JAX was told so
-            array = array.astype(NARROW.get(array.dtype.name, array.dtype))
-        parts.append(f"{jax.tree_util.keystr(path)}{array.dtype}{array.shape}")
+            kind = NARROW.get(leaf.dtype.name, leaf.dtype.name)  # of a key, its algorithm
+            array = array.astype(kind) if kind in NARROW.values() else array
+        parts.append(f"{jax.tree_util.keystr(path)}{kind}{array.shape}")
         parts.append(array.tobytes().hex())
     parts += _static_fields(mdp, "")
     parts.append(np.asarray(actions_of(mdp), np.float64).tobytes().hex())

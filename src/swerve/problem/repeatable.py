@@ -21,7 +21,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 
 from swerve.base.space import StateSpace
 from swerve.constraints.base import Constraint
-from swerve.problem.boundary import actions_of
+from swerve.problem.boundary import actions_of, plain_array
 
 NUM_STATES = 256  # states on which a predicate is tried
 GOLDEN = 0.6180339887  # its multiples are spread evenly, and hit no round number
@@ -139,7 +139,7 @@ def _are_same(program: Any, other: Any) -> bool:
     constants, others = list(_constants(program)), list(_constants(other))
     if len(set(texts)) > 1 or len(constants) != len(others):
         return False
-    pairs = ((np.asarray(a), np.asarray(b)) for a, b in zip(constants, others, strict=True))
+    pairs = ((plain_array(a), plain_array(b)) for a, b in zip(constants, others, strict=True))
     return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
 
 
