@@ -142,8 +142,8 @@ def test_a_log_that_was_closed_stops_no_work(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_terminal_gets_a_bar(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("TTY_INTERACTIVE", "1")
-    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(progress, "FIRST_LINE", 0.0)
     with progress_bar("training", 4.0, enabled=True) as advance:
         advance(4.0, note="KL 0.2")
@@ -152,6 +152,20 @@ def test_a_terminal_gets_a_bar(
     assert "100%" in err
     assert "KL 0.2" in err
     assert "% done after" not in err
+
+
+@pytest.mark.parametrize("name", ["FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"])
+def test_a_log_gets_lines_where_colours_are_asked_for(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(name, "1")
+    monkeypatch.setattr(progress, "FIRST_LINE", 0.0)
+    with progress_bar("training", 4.0, enabled=True) as advance:
+        advance(4.0)
+    err = capsys.readouterr().err
+    assert err.startswith("training: 100 % done after 0 s\n")
+    assert "━" not in err
+    assert "\x1b" not in err
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -102,8 +103,9 @@ def test_progress_shows_no_commands(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("swerve.base.progress.FIRST_LINE", 0.0)
-    for forced in ("", "1"):
-        monkeypatch.setenv("FORCE_COLOR", forced)
+    monkeypatch.setenv("TERM", "xterm")
+    for is_terminal in (False, True):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda answer=is_terminal: answer)
         with progress_bar("work" + ODD, 2.0, True) as advance:
             advance(1.0, ODD)
         err = capsys.readouterr().err

@@ -116,7 +116,8 @@ def _shown(description: str, total: float) -> AbstractContextManager[Advance]:
     from rich.console import Console
 
     console = Console(stderr=True)
-    is_live = console.is_interactive or console.is_jupyter
+    is_terminal = console.is_interactive and console.file.isatty()  # FORCE_COLOR makes none
+    is_live = is_terminal or console.is_jupyter
     return _bar(description, total, console) if is_live else _lines(description, total)
 
 
