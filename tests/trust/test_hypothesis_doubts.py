@@ -93,7 +93,7 @@ def test_many_of_the_same_are_told_once() -> None:
 @pytest.mark.parametrize(
     ("constraint", "place"),
     [
-        (Box(x=(10.0, 12.0)), "from 10 to 12"),
+        (Box(x=(10.5, 12.0)), "from 10.5 to 12"),
         (Box(x=(-3.0, 0.0), theta=(0.0, 1.0)), "from -3 to 0"),
         (Ball(0.5, x=11.0, theta=1.0), "from 10.5 to 11.5"),
         (HalfSpace(10.5, x=1.0), "from 10.5 to inf"),
@@ -113,6 +113,10 @@ def test_outside_the_bounds(constraint: Constraint, place: str) -> None:
     "constraint",
     [
         Box(x=(9.9, 12.0)),
+        Box(x=(10.0, 12.0)),  # holds its low edge
+        HalfSpace(10.0, x=1.0),
+        HalfSpace(0.0, x=-1.0),
+        StateAction(HalfSpace(0.0, x=-1.0), ActionBox(u=(0.0, 1.0))),
         Box(theta=(20.0, 21.0)),
         Ball(2.0, x=11.0),
         HalfSpace(9.0, x=1.0),
@@ -128,11 +132,11 @@ def test_not_outside_the_bounds(constraint: Constraint) -> None:
 def test_cells_and_windows_outside_the_bounds() -> None:
     cells = grid(theta=(0.0, TWO_PI, 2), x=(-10.0, 20.0, 6))
     [text] = hypothesis_warnings(cells, SPACE)
-    assert text.startswith("hypotheses 0, 1, 4 and 5 more: wholly outside the bounds of x, [0, 10]")
+    assert text.startswith("hypotheses 0, 1, 5 and 3 more: wholly outside the bounds of x, [0, 10]")
     assert "(hypothesis 0 has x from -10 to -5)" in text
     assert "each has a share of the prior" in text
     [text] = hypothesis_warnings(windows(x=(0.0, 14.0, 2.0), overlap=1), SPACE)
-    assert text.startswith("hypotheses 5, 6: wholly outside the bounds of x")
+    assert text.startswith("hypothesis 6: wholly outside the bounds of x")
     assert not list(hypothesis_warnings(grid(x=(-1.0, 11.0, 4)), SPACE))
 
 

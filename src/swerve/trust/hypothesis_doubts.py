@@ -9,6 +9,7 @@ Shapes: H hypotheses.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +20,8 @@ from swerve.base.space import TWO_PI, StateSpace, is_full_turn
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import Box
 from swerve.constraints.predicate import Predicate
+from swerve.constraints.shapes import HalfSpace
+from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import BoxHypotheses
 
@@ -95,7 +98,7 @@ def _outside(
         for axis, (name, (low, high)) in enumerate(hypotheses.edges().items()):
             if name in bounds:
                 place = np.indices(hypotheses.shape)[axis].ravel()
-                is_out = (high <= bounds[name][0]) | (low >= bounds[name][1])
+                is_out = (high <= bounds[name][0]) | (low > bounds[name][1])  # [low, high)
                 for index in np.flatnonzero(is_out[place]).tolist():
                     yield index, name, float(low[place[index]]), float(high[place[index]])
         return
@@ -109,8 +112,11 @@ def _beyond(
     part: Constraint, bounds: dict[str, tuple[float, float]]
 ) -> tuple[str, float, float] | None:
     """Return a state in which a constraint lies outside the bounds, and its interval there."""
+    states = part.states if isinstance(part, StateAction) else part
+    holds_high = isinstance(states, HalfSpace)  # other sets hold at most their low edges
     for name, (low, high) in part.spans.items():
-        if name in bounds and (high <= bounds[name][0] or low >= bounds[name][1]):
+        least, most = bounds.get(name, (-math.inf, math.inf))
+        if high < least or (high == least and not holds_high) or low > most:
             return name, low, high
     return None
 
