@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from support.evidence_parts import assert_equal
 from support.synthetic import TASKS, make_evidence, make_record, make_samples
 
+from swerve import infer
 from swerve.base.space import Task
 from swerve.base.store import StoreError, open_file
 from swerve.constraints.boxes import Box
@@ -72,6 +74,36 @@ class TestFiles:
             with pytest.raises(StoreError, match=r"a\.evidence: altered"):
                 use()
         assert path.read_bytes() == content
+
+    def test_plain_evidence_with_known_constraints_reads_the_rewards_alone(
+        self, tmp_path: Path
+    ) -> None:
+        record, path = make_record(known=(Box(x=(0.1, 0.3)),)), tmp_path / "a.evidence"
+        made = make_evidence(record)
+        reward = made.samples.total_reward.copy()
+        reward[0, :3] = -math.inf
+        samples = made.samples._replace(total_reward=reward)
+        evidence = make_evidence(record, samples, method="plain")
+        evidence.save(path)
+        again = pickle.loads(pickle.dumps(Evidence.load(path)))  # noqa: S301
+        damage(path, samples.violations)
+        loaded = Evidence.load(path)
+        infer(loaded)
+        share = 1.0 / np.isfinite(reward).sum(axis=1)
+        assert share[0] > share[1]
+        for found, expected in (
+            (loaded, share),
+            (loaded.select([1, 0]), share[[1, 0]]),
+            (loaded.joined(loaded.select([1])), [*share, share[1]]),
+            (again, share),
+        ):
+            np.testing.assert_array_equal(found.resolution, expected)
+        with pytest.raises(StoreError, match=r"a\.evidence: altered"):
+            _ = loaded.samples
+        evidence.save(path)
+        damage(path, samples.total_reward)
+        with pytest.raises(StoreError, match=r"a\.evidence: altered"):
+            _ = Evidence.load(path).resolution
 
     @pytest.mark.parametrize("part", ["summary", "tasks"])
     def test_a_damaged_summary_is_refused_at_once(self, part: str, tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ class Evidence(Quantities):
         moves take no definite time, and in evidence of earlier versions.
       missed_share: [K] share of pi_0 in which no trajectory is expected to be sampled, by
         trajectories that explore (see `sampling.missed`); NaN where none did.
+      load_reward: function that returns the total rewards of the samples alone, which plain
+        evidence with known constraints needs; those of `load_samples` if None.
     """
 
     @property
@@ -97,6 +99,7 @@ class Evidence(Quantities):
             summary=Summary(*(values[indices] for values in self.summary)),
             load_samples=lambda: Samples(*(values[indices] for values in self.samples)),
             missed_share=self.missed_share[indices],
+            load_reward=lambda: self.total_reward[indices],
         )
 
     def weighted(self, method: str) -> Evidence:
@@ -172,6 +175,7 @@ class Evidence(Quantities):
             summary=_concatenated([evidence.summary for evidence in everything]),
             load_samples=lambda: joined_samples([evidence.samples for evidence in everything]),
             missed_share=np.concatenate([evidence.missed_share for evidence in everything]),
+            load_reward=lambda: np.concatenate([evidence.total_reward for evidence in everything]),
             motion=next((e.motion for e in everything if e.motion is not None), None),
         )
 
@@ -217,6 +221,7 @@ class Evidence(Quantities):
             seed=stored.header["seed"],
             summary=Summary(*checked.read("summary")),
             load_samples=lambda: Samples(*checked.read("samples")),
+            load_reward=lambda: checked.read("samples", "total_reward")[0],
             sampling_beta=stored.header["sampling_beta"],
             motion=Motion(*checked.read("motion")) if "motion" in checked.parts else None,
         )

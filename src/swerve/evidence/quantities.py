@@ -45,6 +45,7 @@ class Quantities:
     sampling_beta: float = None  # pyright: ignore[reportAssignmentType]  # set below
     motion: Motion | None = None
     missed_share: np.ndarray = None  # pyright: ignore[reportAssignmentType]  # set below
+    load_reward: Callable[[], np.ndarray] | None = dataclasses.field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.sampling_beta is None:
@@ -53,12 +54,18 @@ class Quantities:
             object.__setattr__(self, "missed_share", np.full(self.num_tasks, np.nan))
 
     def __getstate__(self) -> dict[str, Any]:
-        return fields_of(self) | {"load_samples": partial(_given, self.samples)}
+        loaded = {"load_samples": partial(_given, self.samples), "load_reward": None}
+        return fields_of(self) | loaded
 
     @cached_property
     def samples(self) -> Samples:
         """The trajectories, reduced; read from the file on first use."""
         return self.load_samples()
+
+    @cached_property
+    def total_reward(self) -> np.ndarray:
+        """[K, N] R(xi) of the trajectories; -inf where a known constraint was entered."""
+        return self.samples.total_reward if self.load_reward is None else self.load_reward()
 
     @property
     def num_tasks(self) -> int:
@@ -265,7 +272,7 @@ class Quantities:
         """[K] number of trajectories that enter no known constraint: only these have a weight."""
         if not self.problem.known:
             return np.full(self.num_tasks, self.num_trajectories)
-        return np.isfinite(self.samples.total_reward).sum(axis=1)
+        return np.isfinite(self.total_reward).sum(axis=1)
 
     @property
     def _has_equal_weights(self) -> bool:

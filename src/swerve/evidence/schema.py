@@ -104,22 +104,32 @@ class StoredEvidence:
             for part in self.parts
         }
         check_names(stored, *self._rules.values())
-        self._stored, self._num = stored, header.num_trajectories
-        self._lengths = _lengths(self.problem, self._num)
+        self._stored, num_trajectories = stored, header.num_trajectories
+        self._lengths = _lengths(self.problem, num_trajectories)
+        self._most = {
+            "samples/length": self.problem.num_steps,
+            "samples/ancestor": num_trajectories - 1,
+        }
         if header.method == "exact":
             self._rules["summary"]["summary/log_ratio_error"] = EXACT_ERROR
 
-    def read(self, part: str) -> list[np.ndarray]:
+    def read(self, part: str, name: str | None = None) -> list[np.ndarray]:
         """Return the arrays of a part, such as "tasks", in their order.
+
+        Args:
+          part: name of the part.
+          name: name of the one array to read; all are read if None.
 
         Raises:
           StoreError: if one of the arrays is altered, or does not hold what it should.
         """
-        arrays = checked_arrays(self._stored, self._rules[part], self._lengths)
-        if part == "samples":
-            most = {"length": self.problem.num_steps, "ancestor": self._num - 1}
-            for name, number in most.items():
-                check_most(self._stored, f"samples/{name}", arrays[f"samples/{name}"], number)
+        rules = self._rules[part]
+        if name is not None:
+            rules = {f"{part}/{name}": rules[f"{part}/{name}"]}
+        arrays = checked_arrays(self._stored, rules, self._lengths)
+        for key, most in self._most.items():
+            if key in arrays:
+                check_most(self._stored, key, arrays[key], most)
         return list(arrays.values())
 
 
