@@ -1,4 +1,4 @@
-"""Read JSON that others may have written, within limits of size and depth."""
+"""Read JSON that others may have written, within limits of size, items and depth."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-MAX_BYTES = 2**27  # of JSON in a file: far above the transitions of a large table
+MAX_BYTES = 2**26  # of JSON in a file: above a map of 2^28 cells at random, or 500,000 boxes
+MAX_ITEMS = 2**22  # brackets and commas: each may take a hundred bytes of memory, not of the file
 MAX_DEPTH = 100  # brackets within brackets: far above a union of unions of constraints
 
-_STRING = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
-_NO_BRACKET = bytes(set(range(256)) - set(b"[]{}"))
+_STRING = re.compile(rb'"[^"]*+"')
+_NO_MARK = bytes(set(range(256)) - set(b'[]{}"'))
 _OPENING = np.frombuffer(b"[{", np.uint8)
 
 
@@ -27,12 +28,16 @@ def parse(text: bytes) -> Any:
 
 
 def check(text: bytes) -> None:
-    """Raise ValueError where JSON is larger, or more deeply nested, than a stored file may be."""
+    """Raise ValueError where JSON has more bytes, items or depth than a stored file may have."""
     if len(text) > MAX_BYTES:
         raise ValueError(f"more than {MAX_BYTES:,} bytes")
-    brackets = np.frombuffer(_STRING.sub(b"", text).translate(None, _NO_BRACKET), np.uint8)
-    depth = np.cumsum(np.where(np.isin(brackets, _OPENING), 1, -1))
-    if depth.max(initial=0) > MAX_DEPTH:
+    num = max(sum(map(text.count, (b"[", b"{", b","))), sum(map(text.count, (b"]", b"}"))))
+    if num > MAX_ITEMS:
+        raise ValueError(f"more than {MAX_ITEMS:,} brackets and commas")
+    unescaped = text.replace(b"\\\\", b"").replace(b'\\"', b"")
+    brackets = np.frombuffer(_STRING.sub(b"", unescaped.translate(None, _NO_MARK)), np.uint8)
+    change = 2 * np.isin(brackets, _OPENING).astype(np.int8) - 1
+    if change.cumsum(dtype=np.int32).max(initial=0) > MAX_DEPTH:
         raise ValueError(f"nested more than {MAX_DEPTH} deep")
 
 

@@ -8,9 +8,10 @@ reading a summary does not read the large arrays stored beside it. Any ZIP tool 
 read the file too. Small records are JSON with the CRC-32 of their own canonical text.
 
 Files are written as in `files`: readers see the old content or the new content. Reading changes
-nothing, and takes no more memory than the file has bytes: only regular files are read, members are
-not compressed and together no larger than the file, the size of an array is that of its member, and
-JSON is limited in size and depth. `schema` checks what a file holds.
+nothing. Reading arrays takes no more memory than the file has bytes: only regular files are read,
+members are not compressed and together no larger than the file, and the size of an array is that of
+its member. JSON takes more memory than it has bytes, and is limited in size, items and depth, so
+that reading it takes some 1 GB at most. `schema` checks what a file holds.
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ def write(
 
     Raises:
       ValueError: if a name or a dtype cannot be stored, or the header has NaN or infinite numbers,
-        or is larger or more deeply nested than what is read.
+        or is larger, of more items or more deeply nested than what is read.
       TypeError: if the header holds data that JSON cannot hold.
       OSError: if the folder cannot be written; a file that existed there is still there.
     """
@@ -194,8 +195,8 @@ def write_json(path: AnyPath, data: Any) -> None:
     """Write a small record of JSON data at once; its folder is created if need be.
 
     Raises:
-      ValueError: if the data have NaN or infinite numbers, or are larger or more deeply nested than
-        what is read.
+      ValueError: if the data have NaN or infinite numbers, or are larger, of more items or more
+        deeply nested than what is read.
       TypeError: if the data are of types that JSON cannot hold.
       OSError: if the folder cannot be written; a file that existed there is still there.
     """

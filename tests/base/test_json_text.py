@@ -1,0 +1,40 @@
+"""JSON that others may have written is read within limits."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swerve.base import json_text, store
+from swerve.base.store import StoreError
+from swerve.constraints.boxes import Box
+
+
+@pytest.mark.parametrize("text", ["[" + "[]," * 2**21 + "0]", "[" + "1," * 2**22 + "0]"])
+def test_a_record_of_too_many_items_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "record.json"
+    for many in (text, "]" * (2**22 + 1)):
+        path.write_text(f'{{"crc32": "00000000", "data": {many}}}')
+        with pytest.raises(StoreError, match=r"not JSON .more than 4,194,304 brackets and com"):
+            store.read_json(path)
+
+
+def test_large_maps_and_lists_of_many_constraints_are_kept() -> None:
+    noise = base64.b64encode(np.random.default_rng(0).bytes(2**28 // 8))
+    json_text.check(b'{"blocked": "' + noise + b'"}')
+    box = json.dumps(Box(x=(1 / 3, 2 / 3), y=(0.1234567, 0.3)).to_json())
+    json_text.check(f"[{', '.join([box] * 400_000)}]".encode())
+
+
+def test_the_ends_of_texts_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "record.json"
+    deep = "[" * 200
+    texts = [deep, deep + "\\", "\\" * 3, '"' + deep, deep + '\\"', "\\\\" + deep, '\\\\"' + deep]
+    store.write_json(path, {text + "k": text for text in texts})
+    assert list(store.read_json(path).values()) == texts
+    with pytest.raises(ValueError, match="nested more than 100 deep"):
+        json_text.check(b'["a\\\\", ' + b"[" * 200 + b', "b"')
