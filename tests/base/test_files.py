@@ -191,9 +191,17 @@ class TestWholeFolder:
     def test_replaces_no_other(self, tmp_path: Path) -> None:
         (tmp_path / "b").mkdir()
         (tmp_path / "b" / "precious").touch()
-        with pytest.raises(OSError, match="not empty"), files.whole_folder(tmp_path / "b"):
+        line = f"cannot write b in {tmp_path}: Directory not empty; choose a folder"
+        with pytest.raises(OSError, match=line), files.whole_folder(tmp_path / "b"):
             pass
         assert names(tmp_path / "b") == ["precious"]
+        assert names(tmp_path) == ["b"]
+
+    def test_begins_in_no_place_of_a_link_that_leads_nowhere(self, tmp_path: Path) -> None:
+        (tmp_path / "b").symlink_to(tmp_path / "gone")
+        line = f"{tmp_path}/b is a link that leads nowhere; remove it or choose another"
+        with pytest.raises(FileExistsError, match=line), files.whole_folder(tmp_path / "b"):
+            pytest.fail("began")
         assert names(tmp_path) == ["b"]
 
 

@@ -15,6 +15,7 @@ import swerve
 def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Path) -> None:
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "demo_001.csv").write_text("theta\n")
+    (tmp_path / "loose").symlink_to(tmp_path / "gone")
     tasks = tmp_path / "tasks.csv"
     row = "5,0,5.5,0\n"
     tasks.write_text(f"demo,start_theta,start_omega,goal_theta,goal_omega\n9,{row}demo_9,{row}")
@@ -23,6 +24,7 @@ def test_demonstrate_refuses_before_the_work(robot: str, run: Run, tmp_path: Pat
         ("made", ("--num", 3, "--tasks", tasks), "--num or --tasks, not both"),
         ("new", ("--tasks", tasks), "more than one demonstration would be '9'"),
         ("made/demo_001.csv/x", (), "cannot write in"),
+        ("loose", (), "loose is a link that leads nowhere; remove it or choose another"),
         ("new", ("--max-action", 3), "are for --by optimal-control: leave"),
         ("new", ("--by", "optimal-control", "--solver", "grid"), "--solver is for --by boltzmann"),
         ("new", ("--by", "optimal-control", "--max-action", 0), "--max-action: expected a number"),

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from swerve.reproduce import keeping
+from swerve.demonstrators.path_search import Search
+from swerve.reproduce import keeping, kept_demonstrations
 from swerve.reproduce.keeping import Clock, Keeping
+from swerve.systems.pendulum import pendulum
 
 
 def test_interrupted_times_add_up_and_finished_ones_stand(
@@ -48,3 +50,13 @@ def test_what_others_made_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(keeping, "version", lambda name: "0.0.0")
     with pytest.raises(ValueError, match="filled by another version of Swerve"):
         Keeping.at(tmp_path, "quick", (1, 2), 0, False)
+
+
+def test_no_demonstrations_are_made_for_a_link_that_leads_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Keeping.at(tmp_path, "quick", 1, 0, False)
+    (made.folder / "shown").symlink_to(tmp_path / "gone")
+    monkeypatch.setattr(kept_demonstrations, "_optima", lambda *arguments: pytest.fail("made"))
+    with pytest.raises(FileExistsError, match="shown is a link that leads nowhere; remove it or"):
+        kept_demonstrations.kept_optima(made, "shown", pendulum(), 0, 1, Search())

@@ -85,8 +85,10 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Without a block that ends there is no folder at all.
 
     Raises:
-      OSError: if the folder cannot be written, or a folder with files is there already.
+      OSError: if the folder cannot be written, or a folder with files or a link that leads nowhere
+        is there already.
     """
+    check_link(path)
     temporary = path.with_name(_random_name())
     try:
         make_folder(path.parent)
@@ -99,13 +101,18 @@ def whole_folder(path: Path) -> Iterator[Path]:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield temporary
         _sync_folder(temporary)
-        temporary.rename(path)
+        move(temporary, path)
     except BaseException:
         remove(temporary)
         raise
     finally:
         os.close(descriptor)
-    _sync_folder(path.parent)
+
+
+def check_link(path: Path) -> None:
+    """Raise FileExistsError for a link that leads nowhere: no folder can take its place."""
+    if path.is_symlink() and not path.exists():
+        raise FileExistsError(f"{path} is a link that leads nowhere; remove it or choose another")
 
 
 def make_folder(folder: Path) -> None:

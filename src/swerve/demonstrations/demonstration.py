@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swerve.base.files import AnyPath, whole_folder, write_text
+from swerve.base.files import AnyPath, check_link, whole_folder, write_text
 from swerve.base.interrupts import saving
 from swerve.base.space import StateSpace, Task
 from swerve.demonstrations.checks import (
@@ -223,7 +223,8 @@ def write_demonstrations(
       The path of each demonstration.
 
     Raises:
-      FileExistsError: if one of the files exists already; then nothing is written.
+      FileExistsError: if one of the files exists already, or the folder is a link that leads
+        nowhere; then nothing is written.
       ValueError: if a demonstration could not be read back: its states fail `check_states`, its
         task does not fit, its actions are missing, or its name cannot be a file name or is used
         twice.
@@ -246,7 +247,8 @@ def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
     """Return the files that `write_demonstrations` writes: tasks.csv, then one for each name.
 
     Raises:
-      FileExistsError: if one of the files exists already.
+      FileExistsError: if one of the files exists already, or the folder is a link that leads
+        nowhere.
       ValueError: if a name cannot be a file name, or two names would be the same in tasks.csv.
     """
     cells = Counter(_cell(name) for name in names)
@@ -257,6 +259,7 @@ def new_files(directory: AnyPath, names: Sequence[str]) -> list[Path]:
             raise ValueError(
                 f"more than one demonstration would be {_cell(name)!r} in tasks.csv: rename"
             )
+    check_link(Path(directory))
     paths = [Path(directory) / f"{name}.csv" for name in ("tasks", *names)]
     for path in paths:
         if path.exists():

@@ -40,6 +40,7 @@ def kept_optima(
     """
     folder = keeping.folder / name
     if not folder.exists():
+        files.check_link(folder)  # before the work
         with keeping.clock.timing(f"{name}: demonstrations"):
             made = _optima(keeping, problem, truth, num, settings)
         names = problem.mdp.action_names
