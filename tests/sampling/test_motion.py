@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from support.contacts import Ball, Wall, Wrap, runs
 from support.reference import PENDULUM_TASK, short_pendulum
+from support.synthetic import make_evidence
 
 import swerve
 from swerve.evidence.evidence import Evidence
+from swerve.monitoring.flags import StateChecks
 from swerve.sampling.motion import motion_of
 
 
@@ -61,3 +66,42 @@ def test_states_for_which_the_dynamics_are_not_finite_are_left_out() -> None:
     assert known is not None
     assert np.isfinite(known.forms).all()
     assert motion_of(swerve.Problem(Lost(max_torque=3.0), cells)) is None
+
+
+@cache
+def evidence_of(system: type[Ball]) -> Evidence:
+    """Evidence of a system with contacts for its start; any speed is usual in it."""
+    problem = swerve.Problem(system(), swerve.grid(y=(0.0, 10.0, 5)))
+    tasks = swerve.Task(*2 * (np.array([system.start]),))
+    return dataclasses.replace(
+        make_evidence(problem.record, tasks=tasks), motion=motion_of(problem)
+    )
+
+
+@pytest.mark.parametrize("system", [Ball, Wall, Wrap])
+def test_a_run_of_the_model_itself_is_never_impossible(system: type[Ball]) -> None:
+    """Bounces, walls and jumps are rare among steps, and may be most of the motion of a run."""
+    evidence, items = evidence_of(system), runs(system(), 8)
+    few = [
+        dataclasses.replace(item, states=item.states[::4], times=item.times[::4])  # pyright: ignore
+        for item in items
+    ]
+    for group in (items, few, [dataclasses.replace(item, times=None) for item in items]):
+        assert not [w for w in swerve.infer(evidence, group).warnings if "dynamics cannot" in w]
+    for item in items:
+        checks, rows = StateChecks(evidence, 0), item.states.tolist()
+        times = (system.dt * np.arange(len(rows))).tolist()
+        checks.of_first(rows[0], times[0])
+        for k in range(1, len(rows)):
+            flags = checks.of_next(rows[k], times[k], rows[k - 1], times[k - 1])
+            assert not {"against the dynamics", "unreachable"} & set(flags)
+
+
+@pytest.mark.parametrize("system", [Ball, Wall])
+def test_what_contacts_do_not_touch_is_still_judged(system: type[Ball]) -> None:
+    """The position follows from the speed, whatever becomes of the speed."""
+    item = runs(system(), 1)[0]
+    states = np.vstack([item.states[:1], item.states[1:] * [1.0, -1.0]])
+    wrong = dataclasses.replace(item, states=states)
+    warnings = swerve.infer(evidence_of(system), [wrong]).warnings
+    assert [w for w in warnings if "y changes by" in w and "v reversed" in w]

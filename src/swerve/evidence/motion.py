@@ -27,6 +27,7 @@ PLACES = (0.0, 0.5, 1.0)
 STRAYING = 0.25  # a rate that goes up and comes back as fast strays by D c / 4 on average
 USUAL = 0.98  # quantile: steps beyond, such as those that end at a wall of the model, are rare
 FITTED = 2 / 3  # share of the steps that the fit is made of; the other steps tell how good it is
+UNTOLD = 1e12  # extents a second: with such an error, the motion says nothing of a component
 PREFERRED = 0.8  # another place than 1/2 must leave an error smaller by this factor
 RIDGE = 1e-8  # for features that depend on one another, such as a small angle and its sine
 MOST_WAVES = 6  # dimensions: with more, sines of states that are no angles make too many features
@@ -50,6 +51,20 @@ class Motion(NamedTuple):
     error: np.ndarray
     worst: np.ndarray
     turning: np.ndarray
+
+    def silenced(self, column: int, space: StateSpace, *, is_jump: bool) -> Motion:
+        """Return the motion that says nothing of a component of the state.
+
+        Args:
+          column: the component.
+          space: state space.
+          is_jump: whether single steps alone are left out, and sums of steps still judged.
+        """
+        error, worst = self.error.copy(), self.worst.copy()
+        worst[column] = UNTOLD * space.extent[column]
+        if not is_jump:
+            error[column] = worst[column]
+        return self._replace(error=error, worst=worst)
 
     def rates(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return g [L, n] of states [L, n]."""

@@ -5,7 +5,8 @@ Within dt seconds a component of the state may change by at most
     FAST v dt + JITTER extent,
 
 where v is the fastest change of this component in nominal trajectories of the task. Where the
-evidence tells how states move, the states are held against the dynamics too (see `motion_watch`).
+evidence tells how states move, the states are held against the dynamics too (see
+`trust.motion_watch`).
 
 Shapes: n state dimensions.
 """
@@ -18,7 +19,7 @@ from swerve.base.space import TWO_PI
 from swerve.constraints.base import violates
 from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
 from swerve.evidence.evidence import Evidence
-from swerve.monitoring.motion_watch import MotionWatch
+from swerve.trust.motion_watch import MotionWatch
 
 LATE = "late start"
 OUTSIDE = "outside the bounds"
@@ -95,8 +96,8 @@ class StateChecks:
         moved = self._moved(values, last)
         is_jump, is_against = self._exceed(moved, reach), False
         if self._watch is not None:
-            is_beyond, is_against = self._watch.step(values, moved, elapsed)
-            is_jump = is_jump or is_beyond
+            jumps, against = self._watch.step(values, moved, elapsed)
+            is_jump, is_against = is_jump or bool(jumps), bool(against)
         return flags + [UNREACHABLE] * is_jump + [AGAINST] * is_against
 
     def _of_place(self, values: list[float], last: list[float], now: float) -> list[str]:

@@ -181,9 +181,20 @@ def _worst_window(
 
 def against_dynamics(demonstration: Demonstration, problem: ProblemRecord, motion: Motion) -> str:
     """Return what of a demonstration the dynamics do not allow, in words; '' if they allow all."""
-    states, times = _moving(demonstration.states), demonstration.times
+    told = judged(demonstration.states, demonstration.times, problem, motion)
+    return "" if told is None else _text(told[0], demonstration, problem, motion, told[1])
+
+
+def judged(
+    states: np.ndarray, times: np.ndarray | None, problem: ProblemRecord, motion: Motion
+) -> tuple[Finding, str] | None:
+    """Return what of states [L, n] the dynamics do not allow, and its cause; None: they allow all.
+
+    The cause is GLITCH where it is a single step, '' where it is not known.
+    """
+    states = _moving(states)
     if len(states) < 3:
-        return ""
+        return None
     elapsed = None if times is None else np.diff(times[: len(states)])
     recording = _Recording(states, elapsed, problem, motion)
     steps = recording.steps
@@ -197,8 +208,8 @@ def against_dynamics(demonstration: Demonstration, problem: ProblemRecord, motio
             found, cause = strict, _slower(recording)
     glitch = _glitch(steps, problem.space, motion)
     if cause or (found is not strict and (glitch is None or found.num_bad > FEW)):
-        return _text(found, demonstration, problem, motion, cause)
-    return "" if glitch is None else _text(glitch, demonstration, problem, motion, GLITCH)
+        return found, cause
+    return None if glitch is None else (glitch, GLITCH)
 
 
 def _glitch(steps: Steps, space: StateSpace, motion: Motion) -> Finding | None:

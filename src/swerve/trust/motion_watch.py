@@ -56,7 +56,9 @@ class MotionWatch:
         """Take in the first state, n values."""
         self._rates = self._rates_of(values)
 
-    def step(self, values: list[float], moved: list[float], elapsed: float) -> tuple[bool, bool]:
+    def step(
+        self, values: list[float], moved: list[float], elapsed: float
+    ) -> tuple[list[int], list[int]]:
         """Take in the next state, n values.
 
         Args:
@@ -65,12 +67,13 @@ class MotionWatch:
           elapsed: since the last state [s].
 
         Returns:
-          Whether the step by itself is impossible, and whether the motion up to this state is.
+          The components of which the step by itself is impossible, and those of which the motion up
+          to this state is.
         """
         before, self._rates = self._rates, self._rates_of(values)
-        is_jump = is_against = False
-        for change, first, second, limits, sums in zip(
-            moved, before, self._rates, self._limits, self._sums, strict=True
+        jumps, against = [], []
+        for i, (change, first, second, limits, sums) in enumerate(
+            zip(moved, before, self._rates, self._limits, self._sums, strict=True)
         ):
             place, share, straying, slack, reach, jitter, least = limits
             turned = second - first
@@ -78,14 +81,16 @@ class MotionWatch:
             bend = elapsed * (share * abs(turned) + straying * elapsed)
             error = abs(change - predicted)
             allowed = reach * elapsed + FAST * bend + jitter + USUAL_ERRORS * sums.usual
-            is_jump = is_jump or error > allowed
+            if error > allowed:
+                jumps.append(i)
             sums.usual = MEMORY * sums.usual + (1.0 - MEMORY) * min(error, allowed)
             sums.moved += change
             sums.predicted += predicted
             sums.slack += slack * elapsed + bend
-            if max(abs(sums.moved), abs(sums.predicted), sums.slack) > least:
-                is_against = sums.compare(jitter) or is_against
-        return is_jump, is_against
+            gone = max(abs(sums.moved), abs(sums.predicted), sums.slack)
+            if gone > least and sums.compare(jitter):
+                against.append(i)
+        return jumps, against
 
     def _rates_of(self, values: list[float]) -> list[float]:
         """Return g of a state, as `Motion.rates` does."""

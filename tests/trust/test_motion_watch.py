@@ -12,7 +12,7 @@ from support.synthetic import make_evidence
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.monitoring.flags import StateChecks
-from swerve.monitoring.motion_watch import MotionWatch
+from swerve.trust.motion_watch import MotionWatch
 
 AGAINST, UNREACHABLE = "against the dynamics", "unreachable"
 
