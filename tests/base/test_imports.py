@@ -239,13 +239,43 @@ class TestNeighbours:
             assert load_problem("cart.py:problem").beta == 0.25
             assert load_problem("clone_of_cart.robots:problem").beta == 0.5
 
-    def test_do_not_take_the_place_of_installed_modules(self, folder: Path) -> None:
-        for name in ("html", "numpy", "polars"):
+    @pytest.mark.parametrize("name", ["html", "numpy", "polars", "profile", "time"])
+    @pytest.mark.parametrize("text", ["cart.py:problem", "cart:problem", "outer_cart.py:problem"])
+    def test_with_the_name_of_an_installed_module_are_refused(
+        self, folder: Path, name: str, text: str
+    ) -> None:
+        for file in ("cart.py", "outer_cart.py"):
+            (folder / file).write_text(CART)
+        assert load_problem(text).beta == 0.5
+        for module in ("cart", "outer_cart"):
+            sys.modules.pop(module, None)
+        (folder / f"{name}.py").write_text("raise SystemExit\n")
+        (folder / "cart.py").write_text(f"def late():\n    import {name}.x\n{CART}")
+        (folder / "outer_cart.py").write_text("from cart import problem\n")
+        message = (
+            rf"cart.py: `import {name}` .* neighbour {folder}/{name}\.py but .*: rename the neig"
+        )
+        with pytest.raises(ValueError, match=message):
+            load_problem(text)
+
+    def test_that_are_not_imported_may_have_any_name(self, folder: Path) -> None:
+        for name in ("html", "numpy", "polars", "swerve"):
             (folder / f"{name}.py").write_text("raise SystemExit\n")
-        (folder / "cart.py").write_text(f"import html, numpy, polars\nhtml.escape('')\n{CART}")
+        (folder / "cart.py").write_text(CART)
         assert load_problem("cart.py:problem").beta == 0.5
         assert sys.modules["html"] is html
         assert sys.modules["numpy"] is np
+
+    def test_of_packages_are_refused_too(self, folder: Path) -> None:
+        (folder / "axle_of_cart").mkdir()
+        (folder / "axle_of_cart" / "wheel.py").write_text("import profile\n")
+        (folder / "profile.py").write_text("")
+        (folder / "cart.py").write_text(f"import axle_of_cart.wheel\n{CART}")
+        sys.modules.pop("profile", None)
+        with pytest.raises(
+            ValueError, match=r"wheel\.py: `import profile` .* rename the neighbour"
+        ):
+            load_problem("cart.py:problem")
 
 
 class TestModulesOfTheCurrentFolder:

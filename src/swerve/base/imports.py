@@ -7,8 +7,8 @@ means. The finder here stands in the place of Python's own and goes by who impor
 - A library, which is whatever lies elsewhere than the script, finds no module of these folders.
   Only a name that the library was given, as that of a pickled class, is looked for there too.
 - A module of the user that `looking_in` has named, such as the file of a problem, finds installed
-  modules first, then the other files of its folder. Nobody else looks there, but for names that
-  such a module gives to a library, while it runs.
+  modules, and the other files of its folder; a name that means both is refused. Nobody else looks
+  there, but for names that such a module gives to a library, while it runs.
 
 All other imports, such as those of the user's script, are Python's own. Folders of PYTHONPATH, of
 `.pth` files, and those that the user adds to `sys.path`, are the user's choice, and searched as
@@ -61,6 +61,48 @@ def find_installed(name: str) -> ModuleSpec | None:
     return found if _is_whole(found) else None
 
 
+def check_names(file: str, folder: str) -> None:
+    """Raise ValueError where a file of the user imports a name that means two modules.
+
+    Args:
+      file: the file, whose source is read.
+      folder: the folder in which it finds its neighbours.
+    """
+    import ast  # not above: the finder has to be in its place before
+
+    with open(file, "rb") as source:
+        try:
+            tree = ast.parse(source.read())
+        except (SyntaxError, ValueError):  # which is told when the file is run
+            return
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names = [node.module]
+        for name in names:
+            _check_name(name.partition(".")[0], folder, file)
+
+
+def _check_name(name: str, folder: str, file: str) -> None:
+    """Raise ValueError where a name means an installed module and a neighbour of a file, too.
+
+    The name `swerve` is that of Swerve.
+    """
+    if name == "swerve":
+        return
+    files = [os.path.join(folder, name, "__init__.py"), os.path.join(folder, f"{name}.py")]
+    neighbours = [other for other in files if other != file and os.path.isfile(other)]
+    if not neighbours or is_installed(neighbours[0]) or neighbours[0].startswith(SWERVE + os.sep):
+        return
+    if name in sys.stdlib_module_names or find_installed(name) is not None:
+        raise ValueError(
+            f"{file}: `import {name}` would not give its neighbour {neighbours[0]} but the "
+            "installed module of this name: rename the neighbour"
+        )
+
+
 def _is_whole(found: ModuleSpec | None) -> bool:
     """Return whether a module was found that is more than a folder without `__init__.py`."""
     return found is not None and found.origin is not None
@@ -87,8 +129,8 @@ class PathFinder(machinery.PathFinder):
         """Return the specification of a module, or None where there is none."""
         frame = _importer() if path is None else None  # a package says where to look in it
         folder = None if frame is None else _folder_of(frame)
-        if folder is not None:
-            return _find_for_user(fullname, folder)
+        if frame is not None and folder is not None:
+            return _find_for_user(fullname, folder, frame.f_code.co_filename)
         if frame is None or not _is_library(frame):
             return machinery.PathFinder.find_spec(fullname, path, target)
         others = [entry for entry in sys.path if not _is_own(entry)]
@@ -98,14 +140,17 @@ class PathFinder(machinery.PathFinder):
         return _find_given(fullname, frame) if found is None else found
 
 
-def _find_for_user(name: str, folder: str) -> ModuleSpec | None:
-    """Return the module that a module of the user in a folder means by a name, or None."""
+def _find_for_user(name: str, folder: str, file: str) -> ModuleSpec | None:
+    """Return the module that a file of the user in a folder means by a name, or None."""
     found = find_installed(name)
     if found is not None:
+        _check_name(name, folder, file)
         return found
     found = find_in(folder, name)
     if found is None:
         return machinery.PathFinder.find_spec(name)
+    if found.origin is not None and found.origin.endswith(".py"):
+        check_names(found.origin, folder)
     _folders[name] = folder
     return found
 
@@ -120,7 +165,8 @@ def _find_given(name: str, frame: FrameType) -> ModuleSpec | None:
         return None
     if _names(frame, name):
         return None
-    return _find_for_user(name, folder) if folder is not None else found
+    file = frame.f_code.co_filename
+    return _find_for_user(name, folder, file) if folder is not None else found
 
 
 def _names(frame: FrameType, name: str) -> bool:

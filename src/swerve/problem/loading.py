@@ -186,6 +186,7 @@ def _load_file(path: Path) -> ModuleType:
         raise ValueError(f"{path}: no such file")
     path = path.resolve()
     _check_neighbours(path)
+    imports.check_names(str(path), str(path.parent))
     # a name that neither an installed module nor a file of this name in another folder can have
     name = f"swerve_problem_{path.stem}_{hashlib.sha256(bytes(path)).hexdigest()[:8]}"
     imports.looking_in(str(path.parent), name)
@@ -254,6 +255,8 @@ def _load_module(name: str, text: str) -> ModuleType:
     try:
         with _user_code():
             if here is not None:
+                if here.origin is not None and here.origin.endswith(".py"):
+                    imports.check_names(here.origin, str(Path.cwd()))
                 imports.looking_in(str(Path.cwd()), top)
                 _run(importlib.util.module_from_spec(here), here)
             return importlib.import_module(name)
