@@ -127,9 +127,13 @@ class TestCrosses:
     def test_a_square_is_a_box(self, seed) -> None:
         starts, ends = np.random.default_rng(seed).uniform(-1.0, 3.0, (2, 300, 2))
         box = Box(x=(0.0, 2.0), y=(0.0, 2.0))
-        np.testing.assert_array_equal(
-            Polygon(SQUARE).crosses(starts, ends, PLANE), box.crosses(starts, ends, PLANE)
-        )
+        expected = box.crosses(starts, ends, PLANE)
+        moves = 1e-4 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+        near = [box.crosses(starts + move, ends + move, PLANE) for move in moves]
+        clear = (np.array(near) == expected).all(axis=0)  # the edges of the two differ in rounding
+        assert clear.sum() > 290
+        found = Polygon(SQUARE).crosses(starts, ends, PLANE)
+        np.testing.assert_array_equal(found[clear], expected[clear])
 
     def test_from_corner_to_corner(self) -> None:
         """No edge is cut in its middle, yet the diagonal runs inside; beside a corner none does."""

@@ -57,7 +57,7 @@ def real_numbers(values: Any, name: str) -> np.ndarray:
     try:
         array = np.asarray(values)
         if array.dtype.kind in "biuf" or (array.dtype.kind == "O" and _are_numbers(array)):
-            return array.astype(np.float64)
+            return array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name}: expected numbers, got {values!r}") from error
     expected = "real numbers" if array.dtype.kind == "c" else "numbers"
