@@ -93,15 +93,10 @@ def test_segments_are_tried_all_the_way() -> None:
     )
     exact, got = inside.any(axis=0), fine.crosses(starts, ends, SPACE)
     assert 50 < exact.sum() < 350
-    assert not (got & ~exact).any()
-    missed = np.flatnonzero(exact & ~got)
-    assert 0 < len(missed) < 0.1 * exact.sum()
-    for index in missed:  # none but tips of corners, shorter than half a cell
-        edges = np.flatnonzero(np.diff(np.pad(inside[:, index].astype(int), 1)))
-        longest = np.diff(edges.reshape(-1, 2)).max() / 10_000
-        assert longest * np.abs(ends - starts)[index].max() < 0.5 * fine.cell
+    assert not (exact & ~got).any()
+    assert (got & ~exact).sum() < 5  # tips of corners between two of the points
     traced = jax.jit(lambda a, b: fine.crosses(a, b, SPACE))(jnp.asarray(starts), jnp.asarray(ends))
-    assert (np.asarray(traced) != got).sum() <= 2  # float32
+    np.testing.assert_array_equal(np.asarray(traced), got)
 
 
 def test_a_step_over_a_thin_wall_crosses_it() -> None:
