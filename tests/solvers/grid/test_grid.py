@@ -124,8 +124,10 @@ def test_nothing_leaks_through_a_thin_wall_in_many_short_steps(drop: float) -> N
 
 
 def test_known_predicate_is_the_same_as_the_box_it_describes() -> None:
-    box = Box(x=(-0.2, 0.3))
-    predicate = Predicate("strip", lambda states: (states[..., 0] >= -0.2) & (states[..., 0] < 0.3))
+    box = Box(x=(-0.22, 0.27))
+    predicate = Predicate(
+        "strip", lambda states: (states[..., 0] >= -0.22) & (states[..., 0] < 0.27)
+    )
     start = Task(np.array([0.6, 0.3]), np.array([1.0, 0.0]))
     by_box, by_predicate = (
         sample(learn(short_cart(known=[c], between_states=False), Grid(61)), start, 500).samples
