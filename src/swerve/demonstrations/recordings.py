@@ -51,18 +51,19 @@ def read_recording(path: Path, space: StateSpace, action_names: Sequence[str]) -
     )
     states = table.columns(space.names)
     times = table.columns(["t"])[:, 0] if "t" in table.names else None
-    _check_recording(path, table, times, time_name, space)
     absent = [name for name in ("t", *action_names) if name not in table.names]
-    notes = notes_on_columns(table.unread, absent)
     missing = [name for name in absent if name != "t"]
+    actions = None if missing else table.columns(action_names)
+    table = table._replace(values=table.values[:0].copy())  # frees the memory of a large file
+    _check_recording(path, table, states, times, time_name, space)
+    notes = notes_on_columns(table.unread, absent)
     if len(missing) == len(action_names):
         return Recording(states, times, None, notes)
-    if missing:
+    if actions is None:
         raise ValueError(
             f"{path}: no column {', '.join(missing)}; expected all of the actions "
             f"{', '.join(action_names)}, or none"
         )
-    actions = table.columns(action_names)
     if np.isnan(actions[-1]).all():  # blank: no action follows the last state
         actions = actions[:-1]
     check_finite(actions, action_names, row_namer(str(path), table.line_of))
@@ -104,10 +105,15 @@ def _begin_alike(times: np.ndarray) -> bool:
 
 
 def _check_recording(
-    path: Path, table: Table, times: np.ndarray | None, time_name: str, space: StateSpace
+    path: Path,
+    table: Table,
+    states: np.ndarray,
+    times: np.ndarray | None,
+    time_name: str,
+    space: StateSpace,
 ) -> None:
     """Check states and times; where they are of several recordings, name what tells them apart."""
-    states, named = table.columns(space.names), shown(time_name)
+    named = shown(time_name)
     try:
         check_states(states, times, space, str(path), line_of=table.line_of, time_name=named)
     except ValueError as error:
