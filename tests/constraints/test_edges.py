@@ -97,6 +97,24 @@ class TestSideOfAnEdge:
         inside = Box(x=(0.5, 1.0)).contains(states, LINE)
         np.testing.assert_array_equal(inside, [False, True, True])
 
+    @pytest.mark.parametrize("bound", [10.0, 1e3, 1e5, 1e6])
+    def test_wide_bounds_do_not_move_the_edges_of_small_regions(self, bound: float) -> None:
+        """At most one state in a thousand lies within the resolution of an edge."""
+        space = StateSpace(("x", "y"), (), np.array([[-bound, bound]] * 2))
+        x, y = np.random.default_rng(0).uniform(-3.0, 3.0, (2, 20_000))
+        states = np.stack([x, y], axis=-1)
+        cells = grid(x=(-3.0, 3.0, 20)).cells(states, space)
+        assert (cells != np.floor((x + 3.0) / 0.3)).mean() < 1e-3
+        expected = {
+            Box(x=(0.3, math.inf)): x >= 0.3,
+            Ball(0.5, x=0.0, y=0.0): np.hypot(x, y) < 0.5,
+            HalfSpace(0.3, x=1.0, y=-1.0): x - y >= 0.3,
+            Polygon([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]): (x < 1) & (y > 0) & (y < x),
+            Occupancy("map", np.eye(2, dtype=bool), (-3, -3), 3.0): (x < 0) == (y < 0),
+        }
+        for constraint, inside in expected.items():
+            assert (constraint.contains(states, space) != inside).mean() < 1e-3
+
     def test_far_from_zero_the_resolution_is_that_of_float32(self) -> None:
         """Coordinates of a map grid, in metres."""
         space = StateSpace(("x",), (), np.array([[5e5, 5e5 + 10.0]]))
@@ -227,6 +245,31 @@ class TestSegments:
         alone = [constraint.crosses(a, b, LINE) for a, b in zip(starts, ends, strict=True)]
         np.testing.assert_array_equal(together, alone)
         assert 0 < together.sum() < 300
+
+    @pytest.mark.parametrize("noise", [1e-6, 3e-6, 1e-5, 2e-5, 1e-4])
+    def test_no_path_along_a_line_of_the_map_passes_a_wall(self, noise: float) -> None:
+        wall = np.zeros((10, 10), bool)
+        wall[:, 5] = True
+        room = Occupancy("room", wall, (-4.0, -4.0), 0.8)
+        y = np.random.default_rng(1).normal(0.0, noise, (2, 2000))
+        starts, ends = (
+            np.stack([0 * z + x, z], axis=-1) for x, z in zip((-2, 3.9), y, strict=True)
+        )
+        assert room.crosses(starts, ends, LINE).all()
+        traced = jax.jit(lambda a, b: room.crosses(a, b, LINE))
+        assert np.asarray(traced(jnp.asarray(starts), jnp.asarray(ends))).all()
+
+    @pytest.mark.parametrize("noise", [1e-6, 3e-6, 1e-5, 2e-5, 1e-4])
+    def test_windows_along_a_line_inside_are_judged_as_boxes(self, noise: float) -> None:
+        slid = windows(2, x=(-4.0, 4.0, 2.0), y=(-4.0, 4.0, 2.0))
+        y = np.random.default_rng(2).normal(0.0, noise, (2, 300))
+        starts, ends = (
+            np.stack([0 * z + x, z], axis=-1) for x, z in zip((-3.5, 3.7), y, strict=True)
+        )
+        states = np.stack([starts, ends], axis=1)
+        boxes = ConstraintHypotheses(slid.constraint(k) for k in range(len(slid)))
+        found = slid.violations(states, LINE, True)
+        np.testing.assert_array_equal(found, boxes.violations(states, LINE, True))
 
     def test_a_map_is_judged_as_its_blocked_cells_are(self) -> None:
         blocked = np.random.default_rng(3).random((6, 8)) < 0.2

@@ -22,14 +22,14 @@ MUTANTS = (
     Mutant(
         "leave the edges of a box where rounding decides",
         "constraints/edges.py",
-        "return np.asarray(np.float32(np.asarray(edges) - resolution))",
+        "return np.asarray(np.float32(np.asarray(edges) - blur(edges, resolution)))",
         "return np.asarray(np.float32(np.asarray(edges)))",
         "constraints/test_edges",
     ),
     Mutant(
         "enter a corner that is only touched",
         "constraints/edges.py",
-        "deep = xp.minimum(wide(low + 2.0 * resolution), high)",
+        "deep = xp.minimum(wide(low + 2.0 * blur), high)",
         "deep = xp.minimum(wide(low), high)",
         "constraints/test_edges",
     ),
@@ -45,6 +45,20 @@ MUTANTS = (
         "constraints/occupancy.py",
         "return hit | where_near(passes, has_between & ~hit, (*places[0], *places[1]), 1)",
         "return hit",
+        "constraints/test_edges",
+    ),
+    Mutant(
+        "let wide bounds move the edges of small regions",
+        "constraints/edges.py",
+        "return float(np.float32(min(resolution, SHARE * width)))",
+        "return float(np.float32(resolution))",
+        "constraints/test_edges",
+    ),
+    Mutant(
+        "let a path along a line of the map through a wall",
+        "constraints/occupancy.py",
+        "low - xp.where(is_seam, 2.0 * self.blur, 0.0)",
+        "low",
         "constraints/test_edges",
     ),
 )

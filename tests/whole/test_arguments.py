@@ -26,7 +26,12 @@ WALL = swerve.Box(x=(0.0, 0.2))
         (swerve.learn, [PROBLEM, GRID], {"seed": 0.5}, r"seed: expected a whole .*, got 0.5"),
         (swerve.sample, [PROBLEM, CART_TASK], {}, "nominal: expected what swerve.learn returns"),
         (swerve.sample, [NOMINAL, CART_TASK, 1e3], {}, r"num_trajectories: .*, got 1000.0"),
-        (swerve.sample, [NOMINAL, CART_TASK, 9], {"seed": -1}, r"seed: .* from 0 to 4,294,967,295, got -1"),
+        (
+            swerve.sample,
+            [NOMINAL, CART_TASK, 9],
+            {"seed": -1},
+            r"seed: .* from 0 to 4,294,967,295, got -1",
+        ),
         (swerve.sample, [NOMINAL, None], {}, r"tasks: expected swerve.Task\(start, goal\), got"),
         (swerve.sample, [NOMINAL, [[1.0]]], {}, r"expected swerve.Task\(start, goal\), got"),
         (swerve.infer, [NOMINAL], {}, "evidence: expected a swerve.Evidence, got GridNominal"),

@@ -2,15 +2,16 @@
 
     x lies at or above an edge e    where    float32(x) >= float32(e - r),
 
-with r the resolution of the state, about a millionth of its extent (`StateSpace.resolution`). So a
-number that lies on an edge but for rounding counts as on it, whether it was recorded in decimals,
+with r the resolution: about a millionth of the state's extent (`StateSpace.resolution`), at most
+SHARE of the width of the region, and at least the spacing of float32 at the edge. So a number that
+lies on an edge but for rounding counts as on it, whether it was recorded in decimals,
 simulated in float32 or computed in float64. An interval [low, high) holds the numbers that are at
-or above low and not at or above high. The interval of an angle is repeated at every turn. Nothing
-but comparisons decides, so NumPy and JAX agree on every number.
+or above low and not at or above high. The interval of an angle is repeated at every turn. For
+intervals nothing but comparisons decides, so NumPy and JAX agree on every number.
 
 A segment between two states enters a set where one of its ends lies in the set, or where the
 segment comes more than the resolution deep into the set: a corner that is touched is not entered.
-Along a state that changes by no more than its resolution, the segment stays where it begins.
+Along a state that changes by no more than twice the resolution, the segment stays where it begins.
 
 Shapes: n state dimensions, ... any batch dimensions.
 """
@@ -24,13 +25,25 @@ import numpy as np
 
 from swerve.base.space import MAX_TURNS, TWO_PI, StateSpace, is_full_turn, single, wide
 
+SHARE = 2.0**-12  # of a region's width: a larger resolution, by far too wide bounds, would move it
 ZERO = MAX_TURNS + 3  # index of the turn 0 in TURNS
 TURNS = TWO_PI * np.arange(-ZERO, ZERO + 1)  # rad; as far as angles and segments reach
 
 
+def fine(resolution: float, width: float) -> float:
+    """Return the resolution at the edges of a region of a width, which may be infinite."""
+    return float(np.float32(min(resolution, SHARE * width)))
+
+
+def blur(edges: Any, resolution: float) -> np.ndarray:
+    """Return by how much edges [...] are lowered: the resolution, or the spacing of float32."""
+    size = np.where(np.isfinite(edges), np.abs(edges), 0.0).astype(np.float32)
+    return np.maximum(resolution, 2.0 * np.spacing(size, dtype=np.float32))
+
+
 def threshold(edges: Any, resolution: float) -> np.ndarray:
     """Return the least float32 numbers [...] that count as at or above edges [...]."""
-    return np.asarray(np.float32(np.asarray(edges) - resolution))
+    return np.asarray(np.float32(np.asarray(edges) - blur(edges, resolution)))
 
 
 def coordinate(states: Any, space: StateSpace, name: str) -> Any:
@@ -56,8 +69,12 @@ class Interval:
         turns = TURNS if is_angle else np.zeros(1)
         if is_angle:
             low, high = near_zero(low, high)
-        self._low, self._is_angle, self._resolution = low - resolution, is_angle, resolution
-        self._lows, self._highs = (threshold(edge + turns, resolution) for edge in (low, high))
+        sizes = [abs(edge) or 1.0 for edge in (low, high) if math.isfinite(edge)]
+        resolution = fine(resolution, high - low if len(sizes) == 2 else max(sizes, default=1.0))
+        self._low, self._is_angle = low - resolution, is_angle
+        edges = low + turns, high + turns
+        self._lows, self._highs = (threshold(edge, resolution) for edge in edges)
+        self._blur = np.maximum(*(blur(edge, resolution) for edge in edges)).astype(np.float32)
         self.is_everything = is_angle and is_full_turn(low, high)
 
     def holds(self, values: Any) -> Any:
@@ -84,10 +101,11 @@ class Interval:
         if self.is_everything:
             return [(xp.full(start.shape, -math.inf), xp.full(start.shape, math.inf))]
         if not self._is_angle:
-            return [part(start, step, self._lows[0], self._highs[0], self._resolution)]
-        lows, highs, middle = xp.asarray(self._lows), xp.asarray(self._highs), self._image(start)
+            return [part(start, step, self._lows[0], self._highs[0], self._blur[0])]
+        edges = [xp.asarray(values) for values in (self._lows, self._highs, self._blur)]
+        middle = self._image(start)
         return [
-            part(start, step, wide(lows[image]), wide(highs[image]), self._resolution)
+            part(start, step, *(wide(values[image]) for values in edges))
             for image in (middle - 1, middle, middle + 1)
         ]
 
@@ -100,23 +118,23 @@ class Interval:
         return turn - (values < lows[turn]) + (values >= lows[turn + 1])
 
 
-def part(start: Any, step: Any, low: Any, high: Any, resolution: float) -> tuple[Any, Any]:
+def part(start: Any, step: Any, low: Any, high: Any, blur: Any) -> tuple[Any, Any]:
     """Return the part (enter, leave) of a segment that lies deeper in an interval than its edges.
 
     Args:
       start: [...] float32 numbers where segments begin.
       step: [...] from the starts to the ends of segments.
-      low: [...] threshold of the low edge, a resolution below it.
-      high: [...] threshold of the high edge, a resolution below it.
-      resolution: of the state.
+      low: [...] threshold of the low edge.
+      high: [...] threshold of the high edge.
+      blur: [...] by how much the thresholds lie below the edges.
 
     Returns:
       Shares of the segment, each [...]; enter >= leave where the segment misses the interval.
     """
     xp = step.__array_namespace__()
-    still, start = xp.abs(step) <= resolution, wide(start)
+    still, start = xp.abs(step) <= 2.0 * blur, wide(start)
     share = 1.0 / xp.where(still, 1.0, step)
-    deep = xp.minimum(wide(low + 2.0 * resolution), high)  # in a thin interval, nothing is deep
+    deep = xp.minimum(wide(low + 2.0 * blur), high)  # in a thin interval, nothing is deep
     to_low, to_high = (deep - start) * share, (high - start) * share
     outside = xp.where((low <= start) & (start < high), -math.inf, math.inf)
     enter = xp.where(still, outside, xp.minimum(to_low, to_high))

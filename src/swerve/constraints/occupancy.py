@@ -23,7 +23,7 @@ import numpy as np
 from swerve.base.arguments import numbers, positive_number, two_names
 from swerve.base.space import StateSpace, single, wide
 from swerve.constraints.base import Constraint
-from swerve.constraints.edges import part, threshold
+from swerve.constraints.edges import blur, fine, part, threshold
 from swerve.constraints.polygon_geometry import where_near
 
 MOST_BYTES = 2**25  # of a stored map, a bit a cell: 16,384 x 16,384 cells
@@ -145,8 +145,11 @@ class Occupancy(Constraint):
                 k + xp.where(is_next, xp.sign(end - k), 0)
                 for k, is_next, end in zip(index, (to_x <= to_y, to_x > to_y), last, strict=True)
             ]
+            column, row = index
+            seams = self._is_blocked([column - 1, row]), self._is_blocked([column, row - 1])
             (enter_x, leave_x), (enter_y, leave_y) = (
-                axis.part(*along) for axis, *along in zip(axes, values, steps, index, strict=True)
+                axis.part(*along)
+                for axis, *along in zip(axes, values, steps, index, seams, strict=True)
             )
             enter = xp.maximum(xp.maximum(enter_x, enter_y), 0.0)
             leave = xp.minimum(xp.minimum(leave_x, leave_y), 1.0)
@@ -166,12 +169,12 @@ class Occupancy(Constraint):
     def _is_blocked(self, index: Sequence[Any]) -> Any:
         """Return [...] True where the cell of column and row [...] is blocked or off the map."""
         column, row = index
-        return column.__array_namespace__().asarray(self._framed)[row + 1, column + 1]
+        return column.__array_namespace__().asarray(self._framed)[row + 2, column + 2]
 
     @cached_property
     def _framed(self) -> np.ndarray:
-        """[R + 2, C + 2] the map in a frame of blocked cells, which stand for what is beyond."""
-        return np.pad(self.blocked, 1, constant_values=True)
+        """[R + 4, C + 4] the map in a frame of blocked cells, which stand for what is beyond."""
+        return np.pad(self.blocked, 2, constant_values=True)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data; the map is packed to bits and compressed."""
@@ -209,10 +212,11 @@ class MapAxis:
 
     def __init__(self, space: StateSpace, name: str, low: float, cell: float, count: int) -> None:
         self.column, self.count, self.cell = space.column(name), count, cell
-        self.resolution = float(space.resolution[self.column])
-        self.low = low - self.resolution
-        lines = threshold(low + cell * np.arange(count + 1), self.resolution)
-        self.lines = np.concatenate([[-np.inf], lines, [np.inf]]).astype(np.float32)
+        resolution = fine(space.resolution[self.column], cell)
+        self.low = low - resolution
+        lines = np.concatenate([[-np.inf], low + cell * np.arange(count + 1), [np.inf]])
+        self.lines = threshold(lines, resolution)
+        self.blur = float(blur(lines, resolution).max())
 
     def values(self, states: Any) -> Any:
         """Return one component [...] of states [..., n] as it is compared with lines."""
@@ -228,7 +232,7 @@ class MapAxis:
 
     def is_still(self, steps: Any) -> Any:
         """Return [...] True where a segment stays where it begins, along this axis."""
-        return abs(steps) <= self.resolution
+        return abs(steps) <= 2.0 * self.blur
 
     def share_to_line(self, values: Any, steps: Any, index: Any, last: Any) -> Any:
         """Return the share [...] of segments up to the next line; inf where no line is left.
@@ -244,11 +248,19 @@ class MapAxis:
         divisor = xp.where(last == index, 1.0, steps)
         return xp.where(last == index, math.inf, (line - values) / divisor)
 
-    def part(self, values: Any, steps: Any, index: Any) -> tuple[Any, Any]:
-        """Return the part (enter, leave) of segments that lies deep in cells, see `edges.part`."""
+    def part(self, values: Any, steps: Any, index: Any, is_seam: Any) -> tuple[Any, Any]:
+        """Return the part (enter, leave) of segments that lies deep in cells, see `edges.part`.
+
+        Args:
+          values: [...] where the segments begin.
+          steps: [...] from the starts to the ends.
+          index: [...] the cells.
+          is_seam: [...] whether the cell before is blocked as well: the line between the two is no
+            edge, and a segment along the line is deep in one of the two.
+        """
         xp = steps.__array_namespace__()
         low, high = (wide(xp.asarray(self.lines)[index + k]) for k in (1, 2))
-        return part(values, steps, low, high, self.resolution)
+        return part(values, steps, low - xp.where(is_seam, 2.0 * self.blur, 0.0), high, self.blur)
 
 
 def _repeat(step: Callable[[Any, Any], Any], carry: Any, times: Any) -> Any:

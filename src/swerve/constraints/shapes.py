@@ -25,6 +25,7 @@ from swerve.base.arguments import number_or_nan
 from swerve.base.space import TWO_PI, StateSpace, single, wide
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import call, short
+from swerve.constraints.edges import fine
 
 
 class Ball(Constraint):
@@ -98,8 +99,9 @@ class Ball(Constraint):
         return hit
 
     def _reach(self, space: StateSpace) -> float:
-        """Return the radius less the resolution of the states, at least 0."""
-        return max(0.0, self.radius - max(space.resolution[[*map(space.column, self.centre)]]))
+        """Return the radius less the resolution."""
+        resolution = max(space.resolution[[*map(space.column, self.centre)]])
+        return self.radius - fine(resolution, self.radius)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the named states."""
@@ -221,9 +223,10 @@ class HalfSpace(Constraint):
         return functools.reduce(operator.add, parts)
 
     def _resolution(self, space: StateSpace) -> float:
-        """Return the sum of |n_i| times the resolution of each state."""
+        """Return the resolution of the sum: the sum of |n_i| times that of each state."""
         sizes = {name: space.resolution[space.column(name)] for name in self.normal}
-        return float(sum(abs(factor) * sizes[name] for name, factor in self.normal.items()))
+        total = sum(abs(factor) * sizes[name] for name, factor in self.normal.items())
+        return fine(total, abs(self.offset) or 1.0)
 
 
 def _checked_axes(kind: str, expected: str, values: Mapping[str, float]) -> dict[str, float]:

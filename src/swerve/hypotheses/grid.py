@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,6 +71,39 @@ class BoxHypotheses(HypothesisSet):
         return np.sqrt(square)
 
 
+class Pieces(NamedTuple):
+    """Pieces of segments, each between two grid lines and so in one cell.
+
+    Attributes:
+      trajectory: [P] number of the trajectory that each belongs to.
+      starts: [P, n] where the whole segment begins.
+      steps: [P, n] from the start to the end of the whole segment.
+      indices: for each axis, the extended index [P] of the cell.
+    """
+
+    trajectory: np.ndarray
+    starts: np.ndarray
+    steps: np.ndarray
+    indices: list[np.ndarray]
+
+    def are_deep(self, axes: Sequence[GridAxis], count: int = 1) -> np.ndarray:
+        """Return [P] True where a segment enters the box of `count` cells along each axis.
+
+        The cell of the piece is the lowest of these cells. A segment enters such a box as it enters
+        a `Box` with the same edges.
+        """
+        enter, leave = np.zeros(len(self.trajectory)), np.ones(len(self.trajectory))
+        for axis, index in zip(axes, self.indices, strict=True):
+            one_enters, one_leaves = axis.part(self.starts, self.steps, index, count)
+            enter, leave = np.maximum(enter, one_enters), np.minimum(leave, one_leaves)
+        return leave > enter
+
+    def among(self, chosen: np.ndarray) -> Pieces:
+        """Return some of the pieces."""
+        indices = [index[chosen] for index in self.indices]
+        return Pieces(self.trajectory[chosen], self.starts[chosen], self.steps[chosen], indices)
+
+
 class GridHypotheses(BoxHypotheses):
     """The cells of a regular grid over some of the states; made by `grid`.
 
@@ -105,16 +138,28 @@ class GridHypotheses(BoxHypotheses):
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]; the cost grows with lines crossed, not with H."""
         bits = no_bits(len(states), len(self))
+        for _ in self.judge(bits, states, space, between_states):
+            pass
+        return bits
+
+    def judge(
+        self, bits: np.ndarray, states: np.ndarray, space: StateSpace, between_states: bool
+    ) -> Iterator[Pieces]:
+        """Set the bits of the cells that trajectories [N, T+1, n] enter, block by block.
+
+        Yields:
+          After each block, the pieces of segments that are in cells without entering them.
+        """
         size = max(1, BLOCK // states.shape[1])
         for first in range(0, len(states), size):
             block = wide(single(np.asarray(states[first : first + size])))
-            self._judge(bits[first : first + size], block, space, between_states)
-        return bits
+            for pieces in self._judge(bits[first : first + size], block, space, between_states):
+                yield pieces._replace(trajectory=pieces.trajectory + first)
 
     def _judge(
         self, bits: np.ndarray, states: np.ndarray, space: StateSpace, between_states: bool
-    ) -> None:
-        """Set the bits of the cells that trajectories [N, T+1, n] enter."""
+    ) -> Iterator[Pieces]:
+        """Set the bits of the cells that a block of trajectories enters; see `judge`."""
         axes = self.lines(space)
         indices = [axis.index(axis.values(states)) for axis in axes]
         moved = np.ones(states.shape[:-1], bool)
@@ -133,8 +178,13 @@ class GridHypotheses(BoxHypotheses):
                 first = index[trajectory, step]
                 last = axis.turned(index[trajectory, step + 1], starts, ends, steps)
                 spans.append((first, last))
-            segment, cell = _crossed_cells(axes, starts, steps, spans)
-            _set_cells(bits, trajectory[segment], cell)
+            segment, indices = _crossed_cells(axes, starts, steps, spans)
+            pieces = Pieces(trajectory[segment], starts[segment], steps[segment], indices)
+            deep = pieces.are_deep(axes)
+            cell = _join(axes, [index[deep] for index in indices])
+            _set_cells(bits, pieces.trajectory[deep], cell)
+            if not deep.all():
+                yield pieces.among(~deep)
 
     def edges(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return for each axis the low ends and the high ends of its cells."""
@@ -192,12 +242,11 @@ def _crossed_cells(
     starts: np.ndarray,
     steps: np.ndarray,
     spans: list[tuple[np.ndarray, np.ndarray]],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (segment, cell) for the cells between the two ends of each segment.
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the segment [P] and the extended indices [P] along each axis of the cells crossed.
 
-    A segment comes into a cell wherever it crosses a grid line. It enters the cell where it comes
-    deep enough into the cell, as it would enter a box. Segments that cross fewer than two lines
-    have no cell between their ends.
+    A segment comes into a cell wherever it crosses a grid line. Segments that cross fewer than two
+    lines have no cell between their ends.
 
     Args:
       axes: axes of the grid.
@@ -208,26 +257,22 @@ def _crossed_cells(
     num_lines = sum(np.abs(last - first) for first, last in spans)
     many = np.flatnonzero(num_lines >= 2)
     if not many.size:
-        return many, many
+        return many, [many for _ in axes]
     starts, steps = starts[many], steps[many]
     found, firsts = [], [first[many] for first, _ in spans]
     for axis, first, (_, last) in zip(axes, firsts, spans, strict=True):
-        still = np.abs(steps[:, axis.column]) <= axis.resolution
+        still = axis.is_still(steps, first)
         found.append(axis.crossings(starts, steps, first, np.where(still, first, last[many])))
     along = np.repeat(np.arange(len(axes)), [len(segment) for segment, _, _ in found])
     segment, direction, fraction = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.lexsort((fraction, segment))
     along, segment, direction = along[order], segment[order], direction[order]
     begins = np.searchsorted(segment, segment)  # the first line that each one's segment crosses
-    enter, leave, indices = np.zeros(len(segment)), np.ones(len(segment)), []
-    for number, (axis, first) in enumerate(zip(axes, firsts, strict=True)):
+    indices = []
+    for number, first in enumerate(firsts):
         crossed = np.concatenate([[0], np.cumsum(np.where(along == number, direction, 0))])
-        index = first[segment] + crossed[1:] - crossed[begins]
-        one_enters, one_leaves = axis.part(starts[segment], steps[segment], index)
-        enter, leave = np.maximum(enter, one_enters), np.minimum(leave, one_leaves)
-        indices.append(index)
-    deep = leave > enter
-    return many[segment[deep]], _join(axes, indices)[deep]
+        indices.append(first[segment] + crossed[1:] - crossed[begins])
+    return many[segment], indices
 
 
 def _join(axes: list[GridAxis], indices: list[np.ndarray]) -> np.ndarray:

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from swerve.base.space import RESOLUTION, TWO_PI, StateSpace, is_full_turn
-from swerve.constraints.edges import TURNS, ZERO, coordinate, near_zero, part, threshold
+from swerve.constraints.edges import TURNS, ZERO, blur, coordinate, fine, near_zero, part, threshold
 
 
 def grid_lines(low: float, high: float, count: int) -> np.ndarray:
@@ -40,18 +40,18 @@ class GridAxis:
         self.is_angle = name in space.angles
         if self.is_angle:
             low, high = near_zero(low, high)
-        self.resolution = float(space.resolution[self.column])
         self.width = (high - low) / count
+        resolution = fine(space.resolution[self.column], self.width)
         self.period = count if self.is_angle and is_full_turn(low, high) else count + 1
-        self._low = low - self.resolution
+        self._low = low - resolution
         lines = grid_lines(low, high, count)
         if self.is_angle:
             lines = (TURNS[:, None] + lines[: self.period]).ravel()
         self._first = -ZERO * self.period if self.is_angle else 0  # number of the first line
         ends = [] if self.is_angle else [np.inf]
-        self._lines = np.concatenate(
-            [np.negative(ends), threshold(lines, self.resolution).astype(float), ends]
-        )
+        lines = np.concatenate([np.negative(ends), lines, ends])
+        self._lines = threshold(lines, resolution).astype(float)
+        self._blur = blur(lines, resolution)
 
     @property
     def lines(self) -> tuple[list[float], int]:
@@ -112,7 +112,19 @@ class GridAxis:
 
     def line(self, number: np.ndarray) -> np.ndarray:
         """Return where a grid line lies; on a straight axis, -inf and inf beyond the grid."""
-        return self._lines[number - self._first + (0 if self.is_angle else 1)]
+        return self._lines[self._place(number)]
+
+    def is_still(self, steps: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Return [S] True where segments that begin in cells of an index stay along this axis."""
+        return np.abs(steps[:, self.column]) <= 2.0 * self._blur_of(index, index + 1)
+
+    def _blur_of(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        return np.maximum(self._blur[self._place(low)], self._blur[self._place(high)])
+
+    def _place(self, number: np.ndarray) -> np.ndarray:
+        """Return the place of lines in the table; beyond it, the last place."""
+        place = number - self._first + (0 if self.is_angle else 1)
+        return np.clip(place, 0, len(self._lines) - 1)
 
     def crossings(
         self, starts: np.ndarray, steps: np.ndarray, first: np.ndarray, last: np.ndarray
@@ -135,14 +147,15 @@ class GridAxis:
         return segment, np.sign(last - first)[segment], np.clip(fraction, 0.0, 1.0)
 
     def part(
-        self, starts: np.ndarray, steps: np.ndarray, index: np.ndarray
+        self, starts: np.ndarray, steps: np.ndarray, index: np.ndarray, count: int = 1
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the part (enter, leave) of each segment that lies deep in cells, see `edges.part`.
 
         Args:
           starts: [S, n] where segments begin.
           steps: [S, n] from starts to ends, along the shorter arc.
-          index: [S] extended index of the cell of each segment.
+          index: [S] extended index of the first cell for each segment.
+          count: the number of cells that are taken together.
         """
-        start, step = self.values(starts), steps[:, self.column]
-        return part(start, step, self.line(index), self.line(index + 1), self.resolution)
+        start, step, end = self.values(starts), steps[:, self.column], index + count
+        return part(start, step, self.line(index), self.line(end), self._blur_of(index, end))

@@ -11,6 +11,7 @@ Shapes: N trajectories, d axes, F cells, H windows.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -19,9 +20,9 @@ import numpy as np
 
 from swerve.base.arguments import whole_number
 from swerve.base.space import RESOLUTION, TWO_PI, Actions, StateSpace
-from swerve.hypotheses.bits import no_bits, pack, unpack
-from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, checked_range
-from swerve.hypotheses.grid_axis import grid_lines
+from swerve.hypotheses.bits import no_bits, pack, set_pairs, unpack
+from swerve.hypotheses.grid import BoxHypotheses, GridHypotheses, Pieces, checked_range
+from swerve.hypotheses.grid_axis import GridAxis, grid_lines
 
 AT_ONCE = 1 << 22  # pairs of a trajectory and a cell judged at a time: bounds the memory
 ROUNDING = 1e-9  # share of a stride: errors of sums of widths up to this one are rounding
@@ -85,14 +86,31 @@ class WindowHypotheses(BoxHypotheses):
         actions: Actions | None = None,
     ) -> np.ndarray:
         """Return packed bits [N, ceil(H / 8)]; the cost grows with F and H."""
-        cells = self._cells.violations(states, space, between_states, actions)
-        bits = no_bits(len(states), len(self))
+        cells, bits = no_bits(len(states), len(self._cells)), no_bits(len(states), len(self))
+        axes = self._cells.lines(space)
+        for pieces in self._cells.judge(cells, states, space, between_states):
+            self._set_around(bits, axes, pieces)
         size = max(1, AT_ONCE // len(self._cells))
         for first in range(0, len(states), size):
             entered = unpack(cells[first : first + size], len(self._cells))
             windows = self._dilated(entered.reshape(-1, *self._cells.shape))
-            bits[first : first + size] = pack(windows.reshape(len(entered), -1))
+            bits[first : first + size] |= pack(windows.reshape(len(entered), -1))
         return bits
+
+    def _set_around(self, bits: np.ndarray, axes: list[GridAxis], pieces: Pieces) -> None:
+        """Set the bits of windows that segments enter by pieces too shallow to enter a cell.
+
+        Such a piece runs along a line between two cells, or cuts a corner off: it may lie deep in a
+        window that holds both cells.
+        """
+        for offset in itertools.product(range(self.overlap), repeat=len(axes)):
+            lowest = [index - k for index, k in zip(pieces.indices, offset, strict=True)]
+            place = [axis.cell(index) for axis, index in zip(axes, lowest, strict=True)]
+            shape = np.reshape(self.shape, (-1, 1))
+            entered = pieces._replace(indices=lowest).are_deep(axes, self.overlap)
+            entered &= ((np.array(place) >= 0) & (np.array(place) < shape)).all(axis=0)
+            window = np.ravel_multi_index([along[entered] for along in place], self.shape)
+            set_pairs(bits, pieces.trajectory[entered], window)
 
     def _dilated(self, entered: np.ndarray) -> np.ndarray:
         """Return [N, ...] True for windows that hold one of the entered cells [N, ...]."""

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from swerve.base.arguments import number_or_nan
+from swerve.constraints.edges import fine
 
 if TYPE_CHECKING:
     from swerve.base.space import Task
@@ -118,7 +119,7 @@ def is_counted(
         if not 0.0 <= number_or_nan(clearance) < math.inf:
             raise ValueError(f"clearance: expected a distance >= 0, got {clearance!r}")
         columns = [space.column(name) for name in hypotheses.state_names]
-        clear = float(clearance) + space.resolution[columns].max(initial=0.0)
+        clear = float(clearance) + fine(space.resolution[columns].max(initial=0.0), clearance)
         for end in ends:
             counted &= hypotheses.distance(end, space) > clear
     if judged is not hypotheses:
