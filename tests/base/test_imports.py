@@ -302,6 +302,16 @@ class TestModulesOfTheCurrentFolder:
         assert sys.modules[name] is before
         assert type(load_problem("pendulum").mdp) is swerve.Pendulum
 
+    def test_a_folder_without_init_that_was_imported_before_is_the_users(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (folder / "barn_of_carts").mkdir()
+        (folder / "barn_of_carts" / "cart.py").write_text(CART)
+        with monkeypatch.context() as once:
+            once.syspath_prepend(folder)
+            importlib.import_module("barn_of_carts")
+        assert load_problem("barn_of_carts.cart:problem").beta == 0.5
+
     def test_a_folder_with_the_name_of_an_installed_one_is_refused(self, folder: Path) -> None:
         (folder / "numpy").mkdir()
         (folder / "numpy" / "__init__.py").write_text("")

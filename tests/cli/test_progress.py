@@ -72,7 +72,7 @@ def test_other_work(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("FIRST_LINE", "LINE_INTERVAL"):
+    for name in ("FIRST_LINE", "LINE_INTERVAL", "HEARTBEAT"):
         monkeypatch.setattr(progress, name, 0.0)
     world = "gridworld?width=4&height=3&num_steps=6"
     status, out, said = run(*(world if word == "WORLD" else word for word in words))

@@ -46,7 +46,7 @@ def test_results_that_move_aside_are_never_lost(
     rng = random.Random(0)
     number = 1
     for _ in range(NUM_KILLS):
-        monkeypatch.setattr(files, "_SWEPT", set())  # as in another process
+        monkeypatch.setattr(files, "_SWEPT", set())  # as in another process: it clears the folder
         if (tmp_path / RECORD).exists():
             number = moving_results.check(tmp_path) + 1
         script = moving_results.__file__
@@ -62,6 +62,7 @@ def test_results_that_move_aside_are_never_lost(
             child.send_signal(signal.SIGKILL)
             assert child.wait() == -signal.SIGKILL
     assert moving_results.check(tmp_path) > NUM_KILLS  # moved more than once between two kills
+    monkeypatch.setattr(files, "_SWEPT", set())
     files.write_text(tmp_path / "last", "")
     known = {*moving_results.NAMES, RECORD, OUTDATED, "last", ".lock"}
     assert {path.name for path in tmp_path.iterdir()} <= known

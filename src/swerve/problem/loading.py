@@ -76,8 +76,10 @@ def _found_here(module: str) -> ModuleSpec | None:
     top, dot, _ = module.partition(".")
     if dot and top == "swerve":
         return None
-    loaded = getattr(sys.modules.get(top), "__file__", None)
-    if loaded is not None and top != "swerve" and _is_user_source(Path(loaded)):
+    loaded = sys.modules.get(top)
+    file = getattr(loaded, "__file__", None)
+    places = [file] if file else list(getattr(loaded, "__path__", ()))  # without __init__.py
+    if places and top != "swerve" and not any(map(imports.is_installed, places)):
         return None
     found = imports.find_in(str(Path.cwd()), top)
     is_package = found is not None and found.submodule_search_locations is not None

@@ -115,7 +115,7 @@ def _samples_needed(inference: Ranking, task: int) -> np.ndarray:
     """
     first = inference.ranking[: NUM_SETTLED + 1]
     evidence, sample_of = inference.evidence, inference.evidence.sample_of
-    num_tasks = len(np.unique(sample_of[inference.task_counts > 0]))  # equal tasks count once
+    num_tasks = len(set(sample_of[inference.task_counts > 0].tolist()))  # equal tasks count once
     error = inference.task_error[sample_of == sample_of[task]][:, first].sum(axis=0)
     score = inference.score[first]
     gap = np.maximum(score[:-1] - score[1:], 1e-12)
