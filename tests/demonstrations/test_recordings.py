@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from swerve import read_demonstrations
@@ -91,3 +92,95 @@ def test_recordings_that_begin_at_other_times_are_told_by_another_column(tmp_pat
     path.write_text("\n".join(["time,person,x,v", *rows]))
     with pytest.raises(ValueError, match="The column person tells them apart"):
         read_demonstrations([path], SPACE)
+
+
+def written(path: Path, **columns: np.ndarray | list) -> Path:
+    """A file with states that lie still and these columns."""
+    num = len(next(iter(columns.values())))
+    table = {"x": [0.0] * num, "v": [0.0] * num, **{k: list(c) for k, c in columns.items()}}
+    if path.suffix == ".parquet":
+        pl.DataFrame(table).write_parquet(path)
+        return path
+    rows = [",".join(map(str, row)) for row in zip(*table.values(), strict=True)]
+    path.write_text("\n".join([",".join(table), *rows]))
+    return path
+
+
+NAMES = ("episode_index", "episode", "traj", "trajectory", "track_id", "agent", "robot", "id")
+NAMES = (*NAMES, "run", "demo", "Trial No", "run#", "trajectoryId", "recording-number", "persons")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize(
+    ("name", "values", "told"),
+    [
+        *((name, np.repeat([3, 4], 20), "2 values (3, 4)") for name in NAMES),
+        ("id", np.tile([7.5, 9.0], 20), "2 values (7.5, 9)"),
+        ("robot", ["left"] * 20 + ["right"] * 20, "2 values (left, right)"),
+        ("run", np.repeat(np.arange(20), 2), "20 values (0, 1, 2 and 17 more)"),
+        ("demo", ["a", "a", "b"], "2 values (a, b)"),
+    ],
+)
+def test_a_column_that_numbers_recordings_tells_them(
+    tmp_path: Path, name: str, values: np.ndarray | list, told: str, suffix: str
+) -> None:
+    """Whether times go on from recording to recording, or there are none."""
+    for number, times in enumerate(({}, {"t": np.arange(len(values)) / 10})):
+        path = written(tmp_path / f"{number}{suffix}", **{name: values, **times})
+        with pytest.raises(ValueError, match="several recordings in one file: split") as caught:
+            read_demonstrations([path], SPACE)
+        assert str(caught.value) == (
+            f"{path}: column {name} has {told}, so there are several recordings in one file: split "
+            "it, one file for each value. If the column says something else, leave it out or "
+            "rename it"
+        )
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("episode", [3] * 40),
+        ("robot", ["left"] * 40),
+        ("id", np.arange(40)),
+        ("id", [f"row {k}" for k in range(40)]),
+        ("id", [*range(39), 38]),  # a row that was recorded twice
+        ("run", [True] * 20 + [False] * 20),
+        ("frame", np.repeat([3, 4], 20)),
+        ("gear", ["low"] * 20 + ["high"] * 20),
+        ("track_error", np.repeat([0.25, 0.5], 20)),
+    ],
+)
+def test_one_recording_and_columns_of_something_else(
+    tmp_path: Path, name: str, values: np.ndarray | list, suffix: str
+) -> None:
+    [item] = read_demonstrations([written(tmp_path / f"a{suffix}", **{name: values})], SPACE)
+    assert item.states.shape == (40, 2)
+
+
+def test_a_value_in_the_first_row_of_each_recording_alone(tmp_path: Path) -> None:
+    values = [""] * 40
+    values[0], values[20] = "1", "2"
+    with pytest.raises(ValueError, match=r"column run has 2 values \(1, 2\)"):
+        read_demonstrations([written(tmp_path / "a.csv", run=values)], SPACE)
+
+
+def test_a_state_or_an_action_of_such_a_name_numbers_nothing(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", id=np.repeat([0.5, 1.0], 20), run=np.repeat([0, 1], 20))
+    space = StateSpace(("x", "id"), (), SPACE.bounds)
+    [item] = read_demonstrations([path], space, action_names=["run"])
+    assert item.actions is not None
+    with pytest.raises(ValueError, match="column run has 2 values"):
+        read_demonstrations([path], space)
+
+
+def test_a_turn_too_wide_back_to_the_start_may_be_another_recording(tmp_path: Path) -> None:
+    space = StateSpace(("x", "v"), ("x",), np.array([[0.0, 6.4], [-4.0, 4.0]]))
+    path = tmp_path / "a.csv"
+    once = [f"{x},0" for x in np.linspace(0.1, 3.1, 9)]
+    path.write_text("\n".join(["x,v", *once, *once]))
+    with pytest.raises(ValueError, match=r"too close to pi .* are expected\. Several recordings"):
+        read_demonstrations([path], space)
+    path.write_text("\n".join(["x,v", *once, "5.95,0"]))
+    with pytest.raises(ValueError, match=r"too close to pi .* are expected$"):
+        read_demonstrations([path], space)

@@ -167,6 +167,21 @@ def test_a_jump_is_a_glitch(evidence: Evidence, is_timed: bool) -> None:
     assert " in x from row 100 to row 101, in 0.002" in text
 
 
+@pytest.mark.parametrize("is_timed", [True, False])
+def test_a_jump_back_to_the_start_may_be_another_recording(
+    evidence: Evidence, is_timed: bool
+) -> None:
+    item = straight(TASKS.goal[1], num_states=200)
+    states = np.vstack([item.states, item.states])
+    twice = Demonstration("a", states, item.task, np.arange(400) / 400.0 if is_timed else None)
+    text = doubts(twice, evidence, 1)["speed"]
+    assert " in x from row 200 to row 201, in 0.00" in text
+    assert "back to its start. Several recordings in one file? Split it, one file each. H" in text
+    moved = doubts(dataclasses.replace(twice, times=None), untimed(evidence), 1)["move"]
+    assert moved.startswith("jumps by 3 in x from row 200 to row 201, where")
+    assert "back to its start. Several recordings in one file? Split it, one file each. H" in moved
+
+
 def test_the_same_demonstration_twice() -> None:
     evidence = make_evidence()
     items = [make_demonstration(1, "a"), make_demonstration(1, "b"), make_demonstration(2, "c")]

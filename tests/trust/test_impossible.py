@@ -131,6 +131,17 @@ def test_one_wrong_row_and_a_jump(spoil) -> None:
         assert "rows that are left out, swapped or repeated?" in text
 
 
+def test_a_step_back_to_the_start_may_be_another_recording() -> None:
+    item = drive(5.0)
+    states = np.vstack([item.states[:200], item.states[:200]])
+    twice = dataclasses.replace(item, states=states, times=0.01 * np.arange(400))
+    text = said(twice)
+    assert "from row 200 (t = 1.99 s) to row 201 x changes by -1." in text
+    assert text.endswith(
+        "It leads back to the start. Several recordings in one file? Split it, one file each"
+    )
+
+
 def test_an_offset_of_a_speed_has_no_named_cause() -> None:
     text = said(changed(drive(), drive().states + np.array([0.0, 2.5])))
     assert text.startswith("does what the dynamics cannot")

@@ -34,12 +34,15 @@ FAST = 3.0  # times the fastest nominal change of a state: more is a glitch or a
 JITTER = 0.01  # share of the extent: two measurements of the same state may differ by so much
 TIME_SLACK = 0.1  # share of the duration: demonstrators may be so much quicker or slower
 COARSE = 1.5  # model steps between two states: with wider gaps, lines between them cut corners
+NEAR_START = 0.05  # share of the extent: after a jump so near its start, another recording begins
 
 # Limits beyond which the motion of a demonstration is impossible by the dynamics.
 STRENGTH = 10.0  # times the model's strongest action: people act so much more strongly at most
 RELATIVE = 0.3  # share of a motion: no model is more accurate
 LEAST_MOTION = 0.03  # share of the extent: noise may hide in smaller motions
 IMPOSSIBLE_SHARE = 0.25  # share of the motion in one state: walls of the model explain less
+
+SPLIT = "Several recordings in one file? Split it, one file each"
 
 RowNamer = Callable[[int], str]
 
@@ -164,10 +167,7 @@ def _order_advice(times: np.ndarray) -> str:
     is_mixed = np.count_nonzero(changes == 0.0) > MANY_TWICE * len(times)
     is_joined = 0 < len(back) <= FEW_RETURNS * len(times) and back.min() > FAR_BACK * usual
     if is_mixed or is_joined:
-        return (
-            "several recordings in one file? Split it, one file each; to sort the rows would mix "
-            "the recordings"
-        )
+        return f"{SPLIT[0].lower()}{SPLIT[1:]}; to sort the rows would mix the recordings"
     return "sort the rows, or remove those recorded twice"
 
 
@@ -219,11 +219,18 @@ def _check_arcs(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:
     for row, angle in np.argwhere(_wide_arcs(states, space))[:1]:
         column = np.flatnonzero(space.is_angle)[angle]
         arcs = np.abs(space.difference(states[:-1], states[1:]))
+        joined = f". {SPLIT}" if restarts(states, row + 1, space) else ""
         raise ValueError(
             f"{at(row + 1)}, column {space.names[column]}: {arcs[row, column]:.3f} rad from the "
             f"row before, too close to pi to tell which way it turned (at most {MAX_ARC:.3f}); "
-            f"record at a higher sampling rate. Degrees? Radians are expected"
+            f"record at a higher sampling rate. Degrees? Radians are expected{joined}"
         )
+
+
+def restarts(states: np.ndarray, row: int, space: StateSpace) -> bool:
+    """Return whether a row of states [L, n], counted from 0, leads back to the start from afar."""
+    before, after = space.relative_distance(states[row - 1 : row + 1], states[0]).tolist()
+    return after <= NEAR_START < before
 
 
 def check_bounds(task: Task, space: StateSpace, goal_names: Sequence[str], where: str) -> None:

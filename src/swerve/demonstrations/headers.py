@@ -21,6 +21,14 @@ OTHERS = "[mµun]s|msecs?|millis|nsecs?|nanos|mins?|minutes?|h|hours?"
 TIME = re.compile(rf"(?:{WORDS})(?:[ _]*[\[(]?(?:{SECONDS})[\])]?)?", re.IGNORECASE)
 OTHER_TIME = re.compile(rf"(?:{WORDS})[ _]*[\[(]?(?:{OTHERS})[\])]?", re.IGNORECASE)
 MOST_SECONDS = 1e11  # since 1970 this is the year 5138: larger numbers are of another unit
+RECORDING = re.compile(
+    r"(?:(?:episode|traj(?:ectory)?|track|agent|robot|run|demo(?:nstration)?|recording|trial|rollout"
+    r"|file|sequence|session|subject|participant|person|ped(?:estrian)?|driver|vehicle)s?"
+    r"(?:[ _.-]*(?:ids?|idx|index|num(?:ber)?|no|nr|name))?|ids?|uuid)#?",
+    re.IGNORECASE,
+)
+"""Names of columns that say which recording a row is of, or whose."""
+
 UNIT = re.compile(r"[\[(][^\])]*[\])]")
 
 
@@ -38,6 +46,11 @@ def can_be_seconds(values: np.ndarray) -> bool:
 def tells_recordings(name: str) -> bool:
     """Return whether a column of this name may tell recordings apart: hours and minutes do not."""
     return not re.fullmatch(OTHERS, name, re.IGNORECASE)
+
+
+def names_recordings(name: str) -> bool:
+    """Return whether a column of this name says which recording a row is of."""
+    return bool(RECORDING.fullmatch(name))
 
 
 def notes_on_columns(unread: Sequence[str], missing: Sequence[str]) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """Read the recording in a file: states, times and actions, and what is odd about its columns.
 
 Files of robots and of pedestrians often hold several recordings, below one another or mixed, with a
-column that tells them apart. Such a file is refused, and that column is named.
+column that tells them apart. Such a file is refused, and that column is named: by its name, such as
+`episode_index`, or because times increase within each of its values.
 
 Shapes: L samples, n state dimensions, m action dimensions.
 """
@@ -14,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swerve.base.phrases import shown
+from swerve.base.phrases import cut, shown, some_names
 from swerve.base.space import StateSpace
-from swerve.demonstrations.checks import check_finite, check_states, row_namer
+from swerve.demonstrations.checks import check_finite, check_path, check_states, row_namer
 from swerve.demonstrations.formats import read_table
 from swerve.demonstrations.headers import (
     can_be_seconds,
+    names_recordings,
     notes_on_columns,
     tells_recordings,
     time_column,
@@ -27,6 +29,7 @@ from swerve.demonstrations.headers import (
 from swerve.demonstrations.tables import Table
 
 LEAST_ROWS = 5  # of each recording in a file, where no column tells them apart
+MAX_VALUE = 30  # characters of a value in a message
 SAME_START = 0.1  # of the shortest recording: the recordings in a file begin so nearly alike
 
 
@@ -115,7 +118,7 @@ def _check_recording(
     """Check states and times; where they are of several recordings, name what tells them apart."""
     named = shown(time_name)
     try:
-        check_states(states, times, space, str(path), line_of=table.line_of, time_name=named)
+        check_path(states, times, space, str(path), line_of=table.line_of, time_name=named)
     except ValueError as error:
         if times is None or "several recordings" not in str(error):
             raise
@@ -123,6 +126,53 @@ def _check_recording(
         if not name:
             raise
         raise ValueError(f"{error}. The column {shown(name)} tells them apart") from error
+    _check_alone(path, table.unread, space.names[0])
+    check_states(states, times, space, str(path), line_of=table.line_of, time_name=named)
+
+
+def _check_alone(path: Path, names: Sequence[str], state: str) -> None:
+    """Raise ValueError where a column numbers the recordings in a file, and there are several.
+
+    A column with another value in each row, or in nearly each, numbers the rows.
+
+    Args:
+      path: the file.
+      names: columns that may number recordings.
+      state: name of a state.
+    """
+    for name in filter(names_recordings, names):
+        found, num_rows = _values(path, name, state)
+        if 1 < len(found) <= (num_rows + 1) / 2:
+            texts = [x if isinstance(x, str) else f"{x:.15g}" for x in found]
+            told = some_names([cut(shown(text), MAX_VALUE) for text in texts])
+            raise ValueError(
+                f"{path}: column {shown(name)} has {len(found)} values ({told}), so there are "
+                "several recordings in one file: split it, one file for each value. If the column "
+                "says something else, leave it out or rename it"
+            )
+
+
+def _values(path: Path, name: str, state: str) -> tuple[Sequence[str] | np.ndarray, int]:
+    """Return the values of a column, each once and none for blanks, and the number of rows.
+
+    There are no values where the column says yes or no.
+
+    Args:
+      path: the file.
+      name: the column.
+      state: name of a state: a table has a column of numbers.
+    """
+    try:
+        numbers = read_table(path, [state], optional=[name]).columns([name])[:, 0]
+        return np.unique(numbers[~np.isnan(numbers)]), len(numbers)
+    except ValueError:  # texts, or blank cells
+        pass
+    try:
+        texts = read_table(path, [state], label=name).labels
+    except ValueError:  # yes or no
+        return [], 0
+    found = [text for text in dict.fromkeys(texts) if text]
+    return ([] if {text.casefold() for text in found} <= {"true", "false"} else found), len(texts)
 
 
 def _telling_column(path: Path, names: Sequence[str], times: np.ndarray) -> str:

@@ -14,8 +14,17 @@ import numpy as np
 
 from swerve.base.phrases import some_names
 from swerve.base.solver_kinds import kind_stored
+from swerve.base.space import StateSpace
 from swerve.constraints.base import violates
-from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
+from swerve.demonstrations.checks import (
+    COARSE,
+    FAST,
+    JITTER,
+    SPLIT,
+    START_TOLERANCE,
+    TIME_SLACK,
+    restarts,
+)
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
@@ -157,11 +166,12 @@ def _jump(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
     beyond = moved - FAST * fastest * elapsed[:, None] - JITTER * space.extent
     if not (beyond > 0.0).any():
         return ""
-    row, column = np.unravel_index(int((beyond / space.extent).argmax()), beyond.shape)
+    k = int((beyond / space.extent).argmax())
+    row, column = (int(x) for x in np.unravel_index(k, beyond.shape))
     return (
         f"jumps by {moved[row, column]:.3g} in {space.names[column]} from row {row + 1} to row "
         f"{row + 2}, in {elapsed[row]:.3g} s, where no nominal trajectory changes it faster than "
-        f"by {fastest[column]:.3g} a second: a glitch of the recording? Hypotheses on "
+        f"by {fastest[column]:.3g} a second: {_why_jump(demonstration, row, space)} Hypotheses on "
         "the straight line between the rows count as entered"
     )
 
@@ -206,9 +216,16 @@ def _odd_move(demonstration: Demonstration, evidence: Evidence, task: int) -> st
     return (
         f"jumps by {moved[row, i]:.3g} in {space.names[i]} from row {row + 1} to row {row + 2}, "
         f"where a move of the model changes it by at most {largest[i]:.3g}, and the other rows by "
-        f"{usual[i]:.3g} as a rule: a glitch of the recording? Hypotheses on the straight line "
-        "between the rows count as entered"
+        f"{usual[i]:.3g} as a rule: {_why_jump(demonstration, row, space)} Hypotheses on the "
+        "straight line between the rows count as entered"
     )
+
+
+def _why_jump(demonstration: Demonstration, row: int, space: StateSpace) -> str:
+    """Return what may have caused a jump from a row, counted from 0, to the next."""
+    if restarts(demonstration.states, row + 1, space):
+        return f"back to its start. {SPLIT}."
+    return "a glitch of the recording?"
 
 
 def _doubts(inference: Ranking) -> Iterator[str]:

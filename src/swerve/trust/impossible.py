@@ -28,7 +28,9 @@ from swerve.demonstrations.checks import (
     JITTER,
     LEAST_MOTION,
     RELATIVE,
+    SPLIT,
     STRENGTH,
+    restarts,
 )
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.motion import STRAYING, Motion, Steps
@@ -325,7 +327,10 @@ def _text(
     found: Finding, demonstration: Demonstration, problem: ProblemRecord, motion: Motion, cause: str
 ) -> str:
     """Return a finding in words that follow the name of the demonstration."""
-    name, dt, i = problem.space.names[found.column], problem.dt, found.column
+    space, dt, i = problem.space, problem.dt, found.column
+    name = space.names[i]
+    if cause == GLITCH and restarts(demonstration.states, found.last, space):
+        cause = f"It leads back to the start. {SPLIT}"
     residual = abs(found.moved - found.predicted)
     step = dt * float(motion.reach[i] + STRAYING * dt * motion.turning[i])
     worth = f", {residual / step:,.0f} times what the actions of a step can do" if step else ""
