@@ -128,10 +128,14 @@ def _check_greedy(
 
 def _only(evidence: Evidence, tasks: Task | None) -> Evidence:
     """Return the part of evidence that is about these tasks; all of it for None."""
+    from swerve.evidence.matching import match_each
+
     if tasks is None:
         return evidence
-    indices = {evidence.match(type(tasks)(*task)) for task in zip(*tasks, strict=True)}
-    return evidence.select(sorted(indices))
+    names = ["the task"] * len(tasks.start)
+    return evidence.select(
+        sorted(set(match_each(evidence.problem, evidence.tasks, tasks, names).tolist()))
+    )
 
 
 def _picks(job: Work, result: Inference, most: int, threshold: float | None) -> Picks:

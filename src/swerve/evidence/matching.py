@@ -1,12 +1,12 @@
 """Match the task of a demonstration to the tasks of evidence.
 
-Shapes: K tasks, D demonstrations, n states, g goal dimensions.
+Shapes: K tasks, D demonstrations, n states, g goal dimensions, P pairs of tasks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from swerve.base.space import Task
 from swerve.problem.record import ProblemRecord
 
 MATCH_TOLERANCE = 1e-3  # share of a state's extent: tasks that differ by less are the same task
+SLACK = 1.01  # times MATCH_TOLERANCE: tasks are compared by their distance if one number is nearer
+AT_ONCE = 100_000  # pairs of tasks compared together: bounds the memory
 
 
 def nearest(problem: ProblemRecord, known: Task, tasks: Task) -> tuple[np.ndarray, np.ndarray]:
@@ -27,12 +29,81 @@ def nearest(problem: ProblemRecord, known: Task, tasks: Task) -> tuple[np.ndarra
     Returns:
       Indices from 0 to K - 1, and distances in units of the states' extents.
     """
-    start, goal = (np.asarray(part, float)[..., None, :] for part in tasks)
-    distance = np.maximum(
-        problem.space.relative_distance(known.start, start),
-        _goal_distance(problem, known.goal, goal),
-    )
+    each = Task(*(np.asarray(part, float)[..., None, :] for part in tasks))
+    distance = _distance(problem, known, each)
     return distance.argmin(axis=-1), distance.min(axis=-1)
+
+
+def find_each(problem: ProblemRecord, known: Task, tasks: Task) -> np.ndarray:
+    """Return for each task the index [D] of the known task that is the same; -1 if none is.
+
+    Where several known tasks are the same within MATCH_TOLERANCE, the nearest is taken, and of
+    equally near ones the first. Only known tasks that agree in one number are compared.
+
+    Args:
+      problem: problem that the tasks belong to.
+      known: starts [K, n] and goals [K, g].
+      tasks: starts [D, n] and goals [D, g].
+    """
+    known, tasks = (Task(*(np.asarray(part, float) for part in task)) for task in (known, tasks))
+    near = min(_near_in_each_number(problem, known, tasks), key=lambda near: near.num.sum())
+    numbers = np.full(len(tasks.start), -1)
+    block = np.cumsum(near.num) // AT_ONCE
+    for rows in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(block)) + 1):
+        row, number = near.pairs(rows)
+        distance = _distance(problem, _rows(known, number), _rows(tasks, row))
+        order = np.lexsort((number, distance, row))
+        order = order[distance[order] <= MATCH_TOLERANCE]
+        found, first = np.unique(row[order], return_index=True)
+        numbers[found] = number[order[first]]
+    return numbers
+
+
+class _Near(NamedTuple):
+    """Known tasks that agree with tasks in one number: those of task d are neighbours in order.
+
+    Attributes:
+      order: [K] indices of the known tasks, in the order of the number.
+      first: [D] place in `order` of the first known task that agrees with each task.
+      num: [D] number of known tasks that agree with each task.
+    """
+
+    order: np.ndarray
+    first: np.ndarray
+    num: np.ndarray
+
+    def pairs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return all pairs of some tasks and the known tasks that agree: their indices [P]."""
+        num = self.num[rows]
+        place = np.arange(num.sum()) + np.repeat(self.first[rows] - (np.cumsum(num) - num), num)
+        return np.repeat(rows, num), self.order[place]
+
+
+def _near_in_each_number(problem: ProblemRecord, known: Task, tasks: Task) -> Iterator[_Near]:
+    """Yield, for each number of a task, the known tasks that agree with tasks in this number.
+
+    Two angles agree only if their cosines and sines do: neither changes faster than the angle.
+    """
+    for part in ("start", "goal"):
+        of_known, of_tasks = getattr(known, part), getattr(tasks, part)
+        is_state = part == "start" or problem.goal_names == problem.space.names
+        for i in range(of_known.shape[1]):
+            one, other = of_known[:, i], of_tasks[:, i]
+            if not is_state:
+                yield _near(one, other, np.maximum(1.0, np.abs(other)))
+            elif problem.space.is_angle[i]:
+                for function in (np.cos, np.sin):
+                    yield _near(function(one), function(other), problem.space.unit[i])
+            else:
+                yield _near(one, other, problem.space.unit[i])
+
+
+def _near(known: np.ndarray, number: np.ndarray, unit: float | np.ndarray) -> _Near:
+    """Return the known tasks [K] whose number is within the tolerance of each task's number [D]."""
+    order = np.argsort(known, kind="stable")
+    reach = SLACK * (MATCH_TOLERANCE * unit + np.spacing(np.abs(number)))
+    first = np.searchsorted(known[order], number - reach, "left")
+    return _Near(order, first, np.searchsorted(known[order], number + reach, "right") - first)
 
 
 def match_each(
@@ -49,13 +120,9 @@ def match_each(
     Raises:
       ValueError: if a task is not known; the message names the nearest known task.
     """
-    numbers, distance = nearest(problem, known, tasks)
-    unknown = np.flatnonzero(distance > MATCH_TOLERANCE)
-    if len(unknown):
-        first = int(unknown[0])
-        raise _no_evidence(
-            known, Task(*(part[first] for part in tasks)), int(numbers[first]), names[first]
-        )
+    numbers = find_each(problem, known, tasks)
+    for row in np.flatnonzero(numbers < 0)[:1].tolist():
+        match(problem, known, _rows(tasks, row), names[row])
     return numbers
 
 
@@ -89,13 +156,20 @@ def _no_evidence(known: Task, task: Task, nearest_one: int, name: str) -> ValueE
     )
 
 
-def _goal_distance(problem: ProblemRecord, goals: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Return the distance [..., K] of goals [K, g] from goals [..., 1, g], in states' extents."""
+def _distance(problem: ProblemRecord, known: Task, tasks: Task) -> np.ndarray:
+    """Return the distance [...] of known tasks [...] from tasks [...], in the states' extents."""
+    of_start = problem.space.relative_distance(known.start, tasks.start)
     if problem.goal_names == problem.space.names:
-        return problem.space.relative_distance(goals, goal)
-    if not goals.shape[-1]:
-        return np.zeros((*goal.shape[:-2], len(goals)))
-    return (np.abs(goals - goal) / np.maximum(1.0, np.abs(goal))).max(axis=-1)
+        return np.maximum(of_start, problem.space.relative_distance(known.goal, tasks.goal))
+    if not known.goal.shape[-1]:
+        return of_start
+    apart = np.abs(known.goal - tasks.goal) / np.maximum(1.0, np.abs(tasks.goal))
+    return np.maximum(of_start, apart.max(axis=-1))
+
+
+def _rows(task: Task, rows: int | np.ndarray) -> Task:
+    """Return one task or some tasks of many."""
+    return Task(*(part[rows] for part in task))
 
 
 def _numbers(values: Any) -> str:

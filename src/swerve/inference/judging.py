@@ -49,18 +49,16 @@ def judge(
                 f"expected a list of swerve.Demonstration, got a {type(item).__name__} in it: "
                 "make one with swerve.Demonstration(name, states, task)"
             )
-    tasks = np.zeros(len(demonstrations), int)
     entered = np.zeros((len(demonstrations), len(hypotheses)), bool)
     for first in range(0, len(demonstrations), AT_ONCE):
         block = demonstrations[first : first + AT_ONCE]
         states = checked_states(block, evidence.problem.space)
         for item in block:
             _check_fits(item, evidence)
-        batch = Task.stack([item.task for item in block])
-        names = [item.name for item in block]
-        tasks[first : first + AT_ONCE] = match_each(evidence.problem, evidence.tasks, batch, names)
         entered[first : first + AT_ONCE] = _entered(block, states, evidence.problem, hypotheses)
-    return tasks, entered
+    tasks = Task.stack([item.task for item in demonstrations])
+    names = [item.name for item in demonstrations]
+    return match_each(evidence.problem, evidence.tasks, tasks, names), entered
 
 
 def _check_fits(demonstration: Demonstration, evidence: Evidence) -> None:

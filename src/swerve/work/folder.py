@@ -29,11 +29,13 @@ from typing import Any
 from urllib.parse import quote, unquote
 
 import msgspec
+import numpy as np
 
 from swerve.base import files, schema, store
 from swerve.base.space import Task
 from swerve.base.version import VERSION
 from swerve.evidence.evidence import Evidence
+from swerve.evidence.matching import find_each
 from swerve.problem.loading import MISSING, canonical_problem, file_hash
 from swerve.problem.record import ProblemRecord
 from swerve.problem.schema import stored_record
@@ -270,9 +272,7 @@ class WorkFolder:
 
 def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
     """Return the rows of the tasks that evidence lacks."""
-    return [
-        k for k, task in enumerate(zip(*tasks, strict=True)) if evidence.find(Task(*task)) is None
-    ]
+    return np.flatnonzero(find_each(evidence.problem, evidence.tasks, tasks) < 0).tolist()
 
 
 def _has_changed(source: str, old: str) -> bool:

@@ -1,0 +1,75 @@
+"""Tasks are matched as by comparing all with all, without comparing all with all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.synthetic import make_record
+
+from swerve.base.space import TWO_PI, Task
+from swerve.evidence import matching
+
+GOALS = {"states": ("theta", "x"), "number": ("height",), "nothing": ()}
+THETA = [0.0, TWO_PI, np.pi, 3.0, -1.0, 50.0]
+THETA_OFF = [0.0, 1e-3, -2e-3, 0.99e-3 * TWO_PI, 1.01e-3 * TWO_PI, -3.0 * TWO_PI]
+X_OFF = [0.0, -0.0, 0.0099, 0.0101, -0.0099]
+
+
+def crowded(generator: np.random.Generator, num: int, goal: str) -> Task:
+    """Tasks of which many are the same, or just not the same."""
+    theta, x = generator.choice(THETA, num), generator.choice([0.0, 1.0], num)
+    states = [theta + generator.choice(THETA_OFF, num), x + generator.choice(X_OFF, num)]
+    start = np.stack(states, axis=1)
+    if goal == "number":
+        return Task(start, generator.choice([0.0, 9e-4, 1e3, 1000.9, 1001.1], (num, 1)))
+    return Task(start, start[::-1] if goal == "states" else np.zeros((num, 0)))
+
+
+@pytest.mark.parametrize("goal", GOALS)
+@pytest.mark.parametrize("at_once", [1, 30, 100_000])
+def test_the_nearest_and_first_is_found(
+    goal: str, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(matching, "AT_ONCE", at_once)
+    record = make_record(goal_names=GOALS[goal])
+    num_found = 0
+    for seed in range(20):
+        generator = np.random.default_rng(seed)
+        known, tasks = crowded(generator, 60, goal), crowded(generator, 80, goal)
+        number, distance = matching.nearest(record, known, tasks)
+        is_same = distance <= matching.MATCH_TOLERANCE
+        found = matching.find_each(record, known, tasks)
+        np.testing.assert_array_equal(found, np.where(is_same, number, -1))
+        num_found += int(is_same.sum())
+    assert 100 < num_found < 20 * 80
+    generator = np.random.default_rng(20)
+    known, nothing = crowded(generator, 60, goal), crowded(generator, 0, goal)
+    assert matching.find_each(record, known, nothing).shape == (0,)
+
+
+@pytest.mark.parametrize("varied", ["theta", "x", "goal"])
+def test_tasks_that_differ_are_not_all_compared(
+    varied: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 3,000 tasks that differ in one number alone, in any order."""
+    num, compared = 3000, []
+    part, column = ("goal", 1) if varied == "goal" else ("start", ("theta", "x").index(varied))
+    known = Task(np.ones((num, 2)), np.ones((num, 2)))
+    width = 100.0 if column else TWO_PI
+    values = np.random.default_rng(0).permutation(np.linspace(0.0, width, num, endpoint=False))
+    getattr(known, part)[:, column] = values
+    distance = matching._distance
+
+    def counting(problem: Any, one: Task, other: Task) -> np.ndarray:
+        compared.append(max(len(one.start), len(other.start)))
+        return distance(problem, one, other)
+
+    monkeypatch.setattr(matching, "_distance", counting)
+    order = np.random.default_rng(1).permutation(num)
+    tasks = Task(*(values[order] for values in known))
+    names = [f"demo_{k}" for k in range(num)]
+    found = matching.match_each(make_record(), known, tasks, names)
+    np.testing.assert_array_equal(found, order)
+    assert sum(compared) < 60 * num
