@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from support.synthetic import make_evidence
+from support.synthetic import make_evidence, make_record
 
-from swerve import infer, read_demonstrations
-from swerve.base.space import StateSpace
+from swerve import ActionBox, infer, read_demonstrations
+from swerve.base.space import StateSpace, Task
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.hypotheses.base import ConstraintHypotheses
 
 SPACE = StateSpace(("x", "v"), (), np.array([[-3.0, 3.0], [-4.0, 4.0]]))
 ROWS = [[0.0, -1.0, 0.5], [0.1, -0.9, 0.5], [0.2, -0.8, 0.5]]
@@ -145,6 +146,64 @@ def test_a_misspelt_action_is_told_and_a_misspelt_state_is_named(tmp_path: Path)
         read(tmp_path / "b.csv", "t", "x", "V [m/s]")
     with pytest.raises(ValueError, match=r"no column v; expected x, v .*found t, x, speed$"):
         read(tmp_path / "c.csv", "t", "x", "speed")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize(
+    ("action", "name", "is_near"),
+    [
+        ("torque", "torqe", True),
+        ("torque", "Troque", True),
+        ("torque", "torques", True),
+        ("torque", "torque_Nm", True),
+        ("steering_angle", "stering angle (deg)", True),
+        ("acc", "accl", True),
+        ("torque", "temperature", False),
+        ("force", "source", False),
+        ("u", "ux", False),
+        ("dx", "ddx", False),
+    ],
+)
+def test_the_closest_column_is_told_for_an_action(
+    tmp_path: Path, action: str, name: str, is_near: bool, suffix: str
+) -> None:
+    rows = [[*row, 1.0, 2.0] for row in ROWS]
+    header = ("t", "x", "v", "current", name)
+    item = read(tmp_path / f"a{suffix}", *header, rows=rows, action_names=[action])
+    assert item.actions is None
+    note = f"has no column {action}, and '{name}' was not taken for it: rename the column"
+    assert item.notes == ((note,) if is_near else ())
+
+
+def test_some_of_the_actions_and_states_name_the_closest_columns(tmp_path: Path) -> None:
+    rows = [[*row, 1.0, 2.0] for row in ROWS]
+    names, path = ("t", "x", "v", "force_left", "force_rigth"), tmp_path / "a.csv"
+    match = (
+        "no column force_right; expected all of the actions .* or none; rename 'force_rigth'[?]$"
+    )
+    with pytest.raises(ValueError, match=match):
+        read(path, *names, rows=rows, action_names=["force_left", "force_right"])
+    space = StateSpace(("speed_x", "speed_y"), (), SPACE.bounds)
+    path.write_text("speed_x,sped_y\n0,0\n1,1")
+    with pytest.raises(ValueError, match=r"no column speed_y; .*; rename 'sped_y'\?$"):
+        read_demonstrations([path], space)
+    path.write_text("speed_x,other\n0,0\n1,1")
+    with pytest.raises(ValueError, match=r"no column speed_y; .* found speed_x, other$"):
+        read_demonstrations([path], space)
+
+
+def test_where_actions_are_needed_the_error_names_the_closest_column(tmp_path: Path) -> None:
+    names, rows = ("t", "x", "v", "torqe"), [[*row, 1.0] for row in ROWS]
+    item = read(tmp_path / "a.csv", *names, rows=rows, action_names=["torque"])
+    told = r"; its file has no column torque, and 'torqe' was not taken for it: rename the column$"
+    pushes = ConstraintHypotheses([ActionBox(torque=(0.0, 1.0))])
+    record = make_record(space=SPACE, action_names=("torque",), hypotheses=pushes)
+    evidence = make_evidence(record, tasks=Task(*(part[None] for part in item.task)))
+    with pytest.raises(ValueError, match=rf"needs its actions, columns torque, got none{told}"):
+        infer(evidence, [item])
+    late = dataclasses.replace(item, notes=("has no column t, and so on",))
+    with pytest.raises(ValueError, match=r"needs its actions, columns torque, got none$"):
+        infer(evidence, [late])
 
 
 def test_infer_tells_the_notes() -> None:

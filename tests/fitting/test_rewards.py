@@ -75,6 +75,10 @@ class TestRewards:
         ("changes", "message"),
         [
             ({"actions": None}, "a: expected actions force, got none: the total reward"),
+            (
+                {"actions": None, "notes": ("has no column force, and 'forse' was not taken",)},
+                "on them; its file has no column force, and 'forse' was not taken$",
+            ),
             ({"actions": np.ones((4, 2))}, "a: expected actions force, got 2 of them"),
             ({"actions": np.full((4, 1), np.nan)}, "a: row 1, column force: expected a finite"),
             ({"times": 2.0 * np.arange(5)}, "a: 16 steps, more than the horizon of 7"),

@@ -20,6 +20,8 @@ SECONDS = "s|sec|secs|seconds?"
 OTHERS = "[mµun]s|msecs?|millis|nsecs?|nanos|mins?|minutes?|h|hours?"
 TIME = re.compile(rf"(?:{WORDS})(?:[ _]*[\[(]?(?:{SECONDS})[\])]?)?", re.IGNORECASE)
 OTHER_TIME = re.compile(rf"(?:{WORDS})[ _]*[\[(]?(?:{OTHERS})[\])]?", re.IGNORECASE)
+ALIKE = 0.75  # share of the letters that a misspelt name has in common with the name meant
+LEAST_LETTERS = 3  # of a name: shorter names are like many others
 MOST_SECONDS = 1e11  # since 1970 this is the year 5138: larger numbers are of another unit
 RECORDING = re.compile(
     r"(?:(?:episode|traj(?:ectory)?|track|agent|robot|run|demo(?:nstration)?|recording|trial|rollout"
@@ -69,7 +71,7 @@ def notes_on_columns(unread: Sequence[str], missing: Sequence[str]) -> tuple[str
             "checked: convert the times to seconds, and name them t"
         )
     notes += [
-        f"has no column {name}, and {_listed([near])} was not taken for it: rename the column"
+        f"{_absent(name)} and {_listed([near])} was not taken for it: rename the column"
         for name in missing
         if name != "t"
         for near in nearly(name, unread)
@@ -77,9 +79,38 @@ def notes_on_columns(unread: Sequence[str], missing: Sequence[str]) -> tuple[str
     return tuple(notes)
 
 
+def why_absent(names: Sequence[str], notes: Sequence[str]) -> str:
+    """Return the notes of a file on columns of these names, to end an error; '' if there are none.
+
+    Args:
+      names: names of columns that the file does not have.
+      notes: as from `notes_on_columns`.
+    """
+    found = [note for note in notes if note.startswith(tuple(_absent(name) for name in names))]
+    return "".join(f"; its file {note}" for note in found)
+
+
+def _absent(name: str) -> str:
+    """Return the words that a note on a column begins with that is not there."""
+    return f"has no column {name},"
+
+
 def nearly(name: str, found: Sequence[str]) -> list[str]:
-    """Return the names that differ from a name by case, spaces, marks or a unit alone."""
-    return [other for other in found if other != name and _plain(other) == _plain(name)]
+    """Return the names that may be a misspelt name.
+
+    They differ from it by case, spaces, marks or a unit alone. Where there is no such name, it is
+    the most similar one, if that is similar enough.
+    """
+    others = {other: _plain(other) for other in found if other != name}
+    wanted = _plain(name)
+    same = [other for other, plain in others.items() if plain == wanted]
+    if same or len(wanted) < LEAST_LETTERS:
+        return same
+    from difflib import SequenceMatcher  # here, since most files are read without it
+
+    likeness = {o: SequenceMatcher(None, wanted, plain).ratio() for o, plain in others.items()}
+    nearest = max(likeness, key=lambda other: likeness[other], default="")
+    return [nearest] if likeness.get(nearest, 0.0) >= ALIKE else []
 
 
 def _plain(name: str) -> str:

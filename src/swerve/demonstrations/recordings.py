@@ -26,7 +26,7 @@ from swerve.demonstrations.headers import (
     tells_recordings,
     time_column,
 )
-from swerve.demonstrations.tables import Table
+from swerve.demonstrations.tables import Table, rename_hint
 
 LEAST_ROWS = 5  # of each recording in a file, where no column tells them apart
 MAX_VALUE = 30  # characters of a value in a message
@@ -65,7 +65,7 @@ def read_recording(path: Path, space: StateSpace, action_names: Sequence[str]) -
     if actions is None:
         raise ValueError(
             f"{path}: no column {', '.join(missing)}; expected all of the actions "
-            f"{', '.join(action_names)}, or none"
+            f"{', '.join(action_names)}, or none{rename_hint(missing, table.unread)}"
         )
     if np.isnan(actions[-1]).all():  # blank: no action follows the last state
         actions = actions[:-1]

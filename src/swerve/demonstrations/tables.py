@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swerve.base.files import open_regular
-from swerve.base.phrases import cut
+from swerve.base.phrases import cut, shown
 from swerve.demonstrations.headers import nearly
 
 MAX_FOUND = 500  # characters of the column names that a message lists
@@ -55,8 +55,7 @@ def select_columns(
     needed = [*([] if label is None else [label]), *required]
     missing = [name for name in needed if name not in found]
     if missing:
-        near = [other for name in missing for other in nearly(name, found)]
-        hint = f"; rename {', '.join(map(repr, near))}?" if near else ""
+        hint = rename_hint(missing, [name for name in found if name not in (*needed, *optional)])
         raise ValueError(
             f"{path}: no column {', '.join(missing)}; expected {', '.join(needed)} in a first "
             f"line of names separated by commas, found {cut(', '.join(found), MAX_FOUND)}{hint}"
@@ -66,6 +65,12 @@ def select_columns(
         named = cut(", ".join(twice), MAX_FOUND)
         raise ValueError(f"{path}: more than one column is named {named}; rename them")
     return [name for name in dict.fromkeys((*required, *optional)) if name in found]
+
+
+def rename_hint(missing: Sequence[str], others: Sequence[str]) -> str:
+    """Return the end of an error about missing columns: others that may be meant; '' if none."""
+    near = dict.fromkeys(other for name in missing for other in nearly(name, others))
+    return f"; rename {', '.join(repr(shown(name)) for name in near)}?" if near else ""
 
 
 def file_content(path: Path) -> bytes:

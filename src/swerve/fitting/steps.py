@@ -19,6 +19,7 @@ import numpy as np
 
 from swerve.demonstrations.checks import check_finite, check_horizon, check_transitions, row_namer
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.demonstrations.headers import why_absent
 from swerve.problem.mdp import MDP
 from swerve.systems.tabular import TabularMDP
 
@@ -66,7 +67,7 @@ def steps_taken(mdp: MDP, demonstration: Demonstration) -> Steps:
         raise ValueError(
             f"{name}: expected actions {', '.join(mdp.action_names)}, got "
             f"{'none' if actions is None else f'{actions.shape[1]} of them'}: the total reward "
-            "depends on them"
+            f"depends on them{why_absent(mdp.action_names, demonstration.notes)}"
         )
     check_finite(actions[:length], mdp.action_names, row_namer(name, None))
     return Steps(states[: length + 1], actions[:length])
@@ -146,6 +147,7 @@ def _tabular_steps(mdp: TabularMDP, rows: _Rows, demonstration: Demonstration) -
         raise ValueError(
             f"{name}: step {step + 1} from {states[step].tolist()} can be made by several actions: "
             "the demonstration needs its actions"
+            f"{why_absent(mdp.action_names, demonstration.notes)}"
         )
     return Steps(states[: length + 1], transitions.actions[fits[:length].argmax(axis=1)])
 

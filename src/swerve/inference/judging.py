@@ -19,6 +19,7 @@ from swerve.demonstrations.checks import (
     row_namer,
 )
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.demonstrations.headers import why_absent
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.matching import match_each
 from swerve.hypotheses.base import HypothesisSet
@@ -120,6 +121,7 @@ def _actions(demonstration: Demonstration, problem: ProblemRecord, needed: bool)
             f"{demonstration.name}: the problem has constraints on actions, so a demonstration "
             f"needs its actions, columns {', '.join(names)}, got "
             f"{'none' if values is None else f'{values.shape[1]} of them'}"
+            f"{why_absent(names, demonstration.notes)}"
         )
     values = values[: len(demonstration.states) - 1]
     check_finite(values, names, row_namer(demonstration.name, None))
