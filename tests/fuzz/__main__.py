@@ -39,20 +39,21 @@ def main() -> int:
     began, done, failures, due = time.monotonic(), 0, 0, 0.0
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(chosen.processes, context) as pool:
-        for job in as_completed([pool.submit(tried, *job) for job in todo]):
+        jobs_done = as_completed([pool.submit(tried, *job) for job in todo])
+        for number, job in enumerate(jobs_done, 1):
             num, failure = job.result()
             done += num
             if failure:
                 failures += 1
                 print(failure, flush=True)
             elapsed = time.monotonic() - began
-            if elapsed > due or done == total:
+            if elapsed > due or number == len(todo):
                 due = elapsed + 10.0
                 rate = done / elapsed
-                left = (total - done) / rate
+                left = (total - done) / rate if number < len(todo) else 0.0
                 print(
-                    f"{done:,} of {total:,} inputs, {failures} failures, {rate:.0f} a second, "
-                    f"{left / 60:.0f} min left",
+                    f"{done:,} of {total:,} inputs tried, {failures} failures, "
+                    f"{rate:.0f} a second, {left / 60:.0f} min left",
                     flush=True,
                 )
     return 1 if failures else 0

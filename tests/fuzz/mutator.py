@@ -6,8 +6,12 @@ failure is repeated by its number alone.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from random import Random
+from typing import Any
+
+from support.wrong_contents import JSON_VALUES
 
 TOKENS = [
     b"", b"\x00", b"\n", b"\r", b"\r\n", b",", b",,", b'"', b'""', b"'", b" ", b"\t", b"\xff",
@@ -59,3 +63,49 @@ def _changed(document: bytes, others: Sequence[bytes], random: Random) -> bytes:
     elif kind == 7 and random.random() < 0.3:
         after = b""
     return before + part + after
+
+
+def mutated_json(data: Any, random: Random) -> Any:
+    """Return JSON data after one to three changes of a member, wherever it is.
+
+    A member becomes another value or the value of another member, or is dropped, doubled, added or
+    scaled.
+
+    Args:
+      data: the data, an object or an array.
+      random: source of randomness.
+    """
+    data = copy.deepcopy(data)
+    for _ in range(random.choice((1, 1, 1, 2, 3))):
+        members = [(parent, key) for parent in _parents(data) for key in _keys(parent)]
+        if not members:
+            return random.choice(JSON_VALUES)
+        parent, key = random.choice(members)
+        value, kind = parent[key], random.randrange(7)
+        if kind == 0:
+            del parent[key]
+        elif kind == 1 and isinstance(parent, list):
+            parent.insert(key, copy.deepcopy(value))
+        elif kind == 1:
+            parent[f"{key}{random.randrange(3)}"] = value
+        elif kind == 2:
+            other, place = random.choice(members)
+            parent[key] = copy.deepcopy(other[place])
+        elif kind == 3 and isinstance(value, int | float) and not isinstance(value, bool):
+            parent[key] = value * random.choice((-1, 0.5, 2, 1000, 10**9, 1e300))
+        elif kind == 4 and isinstance(value, str):
+            text = mutated(value.encode(), [value.encode()], random)
+            parent[key] = text.decode("utf-8", "replace")
+        else:
+            parent[key] = random.choice((*JSON_VALUES, "\x1b[31m", 2**31, 2**63, "a" * 300))
+    return data
+
+
+def _parents(data: Any) -> list[Any]:
+    """Return all objects and arrays in JSON data."""
+    found = [data] if isinstance(data, dict | list) else []
+    return [*found, *(part for one in found for key in _keys(one) for part in _parents(one[key]))]
+
+
+def _keys(parent: Any) -> list[Any]:
+    return list(parent) if isinstance(parent, dict) else list(range(len(parent)))

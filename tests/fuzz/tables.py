@@ -93,7 +93,7 @@ class Tables(Target):
 class TasksFiles(Target):
     """Tasks files in CSV."""
 
-    name, share = "tasks", 20
+    name, share = "tasks", 16
 
     def run(self, random: Random) -> None:
         """Read tasks, which are inside the bounds if they are read at all."""

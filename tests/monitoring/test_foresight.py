@@ -179,6 +179,16 @@ def test_a_file_holds_it_all(pendulum, tmp_path) -> None:
         Foresight.load(path, evidence.problem)
 
 
+def test_goals_far_from_their_centre_are_refused(tmp_path) -> None:
+    """Infinity less infinity is NaN: such a foresight would not know its own goals."""
+    problem = swerve.Evidence.load(STORED / "grid.evidence").problem
+    foresight = Foresight.load(STORED / "grid.foresight", problem)
+    inputs = dataclasses.replace(foresight.inputs, goal_centre=np.full(2, 1e308))
+    dataclasses.replace(foresight, inputs=inputs).save(tmp_path / "a.foresight")
+    with pytest.raises(StoreError, match="wrong contents: goals that are no numbers in units of"):
+        Foresight.load(tmp_path / "a.foresight", problem)
+
+
 def test_an_unknown_goal_is_refused(pendulum) -> None:
     _, _, foresight = pendulum
     with pytest.raises(ValueError, match=r"learned for 1 goals, and .* is none of them"):

@@ -19,6 +19,9 @@ STORED = Path(__file__).parents[1] / "data" / "before_packages"
 MADE: dict[str, Any] = runpy.run_path(str(STORED / "problems.py"))
 SETTINGS = (None, 1, [], "text", {"num_steps": "many"}, {"num_steps": -1}, {"width": 1.5})
 
+WRONG_KINDS = ("U3", "c16", "i8")
+NAN_ROW = np.full((1, 6), np.nan)
+
 
 def refused(path: Path, problem: swerve.Problem) -> bool:
     """Return whether a nominal distribution is refused by name."""
@@ -45,6 +48,16 @@ class TestNominal:
                 harmless.append(what)
         changed = ("one is", "all are", "negated", "large")  # other numbers, but numbers
         assert all(what.startswith(changed) and "nan" not in what for what in harmless)
+
+    def test_wrong_history(self, tmp_path: Path) -> None:
+        problem, path = MADE["problem_of"]("ppo"), tmp_path / "wrong.nominal"
+        header, arrays = read_zip(STORED / "ppo.nominal")
+        history = arrays["history"]
+        for wrong in (*(history.astype(kind) for kind in WRONG_KINDS), history[:0], NAN_ROW):
+            write_zip(path, header, arrays | {"history": wrong})
+            assert refused(path, problem), wrong
+        write_zip(path, header, arrays | {"history": history + np.inf})
+        assert not refused(path, problem)
 
     @pytest.mark.parametrize("name", ["ppo", "grid"])
     def test_wrong_settings(self, tmp_path: Path, name: str) -> None:
@@ -83,6 +96,8 @@ def test_checkpoints(tmp_path: Path) -> None:
         "best/0": arrays["best/0"].astype("U3"),
     }
     cases = [arrays | {name: array} for name, array in wrong.items()]
+    cases += [arrays | {"history": arrays["history"].astype(kind)} for kind in WRONG_KINDS]
+    cases += [arrays | {"history": NAN_ROW}]
     cases += [arrays | {f"state/{k}": array for k, array in to_arrays(state).items()}]
     cases += [{key: x for key, x in arrays.items() if key != name} for name in ("goal", "state/0")]
     for changed in cases:

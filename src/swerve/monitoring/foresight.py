@@ -94,6 +94,12 @@ class Inputs:
         if self.goal_is_state and len(record.goal_names) != len(record.space.names):
             raise ValueError("goals are no states in this problem")
 
+    def check_goals(self, goals: np.ndarray) -> None:
+        """Raise ValueError where goals [G, g] are too large or too far apart to be told apart."""
+        with np.errstate(over="ignore"):
+            if not np.isfinite(self.scaled_goal(goals)).all():
+                raise ValueError("goals that are no numbers in units of goal_scale")
+
     def waves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (S, G, p) of the inputs sin(S s + G goal + p).
 
@@ -262,6 +268,7 @@ class Foresight:
                     raise ValueError("the states are not those of the problem")
                 inputs = Inputs(space, header.goal_is_state, centre, scale, header.num_steps)
                 inputs.check(record)
+                inputs.check_goals(goals)
             sizes = inputs.size, len(record.hypotheses)
             layers = read_layers(stored, *sizes, header.num_layers)
             return cls(header.problem, header.evidence, inputs, goals, *layers)

@@ -73,6 +73,20 @@ class Progress(NamedTuple):
         return f"{reading}  residual {self.residual:.2g} nats"
 
 
+def check_history(history: np.ndarray) -> None:
+    """Raise ValueError unless an array [C, 6] that others may have written has rows of `Progress`.
+
+    A KL may be infinite, and nothing is NaN.
+    """
+    num_columns = len(Progress._fields)
+    if history.ndim != 2 or not len(history) or history.shape[1] != num_columns:
+        raise ValueError(
+            f"array 'history' has shape {history.shape}, expected rows of {num_columns} numbers"
+        )
+    if history.dtype.kind != "f" or np.isnan(history).any():
+        raise ValueError("array 'history': expected real numbers, none of them NaN")
+
+
 class Probe:
     """A few tasks on which policies are tried.
 

@@ -33,7 +33,7 @@ from swerve.solvers.trained.checkpoints import Checkpoint
 from swerve.solvers.trained.lanes import check_lanes
 from swerve.solvers.trained.networks import from_arrays, to_arrays
 from swerve.solvers.trained.nonfinite import check_steps
-from swerve.solvers.trained.probe import Probe, Progress
+from swerve.solvers.trained.probe import Probe, Progress, check_history
 from swerve.solvers.trained.settings import TrainingSettings
 from swerve.solvers.trained.trainers import SegmentInfo, Trainer
 
@@ -97,7 +97,9 @@ class Run:
             is missing.
         """
         tasks = checked_tasks(self._problem, Task(arrays.pop("start"), arrays.pop("goal")))
-        self.history = [Progress(*row) for row in arrays.pop("history").tolist()]
+        history = arrays.pop("history")
+        check_history(history)
+        self.history = [Progress(*row) for row in history.tolist()]
         self._state, self._best = (
             from_arrays(
                 self._state,

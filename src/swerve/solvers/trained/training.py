@@ -20,7 +20,7 @@ from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import Policy
 from swerve.solvers.base import LearnOptions, Solver
 from swerve.solvers.trained.networks import from_arrays, to_arrays
-from swerve.solvers.trained.probe import Progress
+from swerve.solvers.trained.probe import check_history
 from swerve.solvers.trained.run import Run
 from swerve.solvers.trained.settings import TrainingSettings
 from swerve.solvers.trained.trainers import Trainer
@@ -73,8 +73,7 @@ class TrainingSolver(TrainingSettings, Solver["TrainedNominal"]):
         """Rebuild the nominal distribution whose `arrays` were stored."""
         weights = dict(arrays)
         history = weights.pop("history")
-        if history.ndim != 2 or history.shape[1] != len(Progress._fields):
-            raise ValueError(f"array 'history' has shape {history.shape}")
+        check_history(history)
         trainer = self.trainer(problem, 0)
         like = trainer.policy_of(jax.eval_shape(trainer.initial_state))
         return TrainedNominal(problem, self, from_arrays(like, weights), history)
