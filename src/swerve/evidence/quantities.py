@@ -226,7 +226,7 @@ class Quantities:
         """[K, I] log Z_0 by each of I independent parts (islands) of the samples, nats."""
         return self.summary.island_log_partition
 
-    @property
+    @cached_property
     def island_spread(self) -> np.ndarray:
         """[K] standard deviation of log Z_0 over islands, nats; infinite if an island weighs 0."""
         log_partition = self.island_log_partition

@@ -157,8 +157,15 @@ class Ranking(Scores):
 
     def demonstrations_of(self, task: int) -> list[str]:
         """Return the names of the demonstrations of a task."""
-        pairs = zip(self.demonstrations, self.task_of, strict=True)
-        return [demonstration.name for demonstration, k in pairs if k == task]
+        return list(self._names_of_task.get(task, ()))
+
+    @cached_property
+    def _names_of_task(self) -> dict[int, list[str]]:
+        """The names of the demonstrations of each task that has any."""
+        names: dict[int, list[str]] = {}
+        for task, demonstration in zip(self.task_of.tolist(), self.demonstrations, strict=True):
+            names.setdefault(task, []).append(demonstration.name)
+        return names
 
     def task_name(self, task: int) -> str:
         """Return the names of a task's first demonstrations; the task's number if it has none."""

@@ -51,7 +51,9 @@ def to_json(inference: Ranking, warnings: Sequence[str]) -> dict[str, Any]:
     """
     evidence = inference.evidence
     posterior = None if inference.is_ruled_out else inference.posterior
-    tasks = inference.task_of if inference.demonstrations else range(evidence.num_tasks)
+    used = inference.task_of.tolist() if inference.demonstrations else range(evidence.num_tasks)
+    tasks = list(dict.fromkeys(used))
+    verdicts_of = zip(tasks, verdicts.verdicts(inference, tasks), strict=True)
     return {
         "headline": sentences.sentence(inference),
         "problem": evidence.problem.summary,
@@ -76,7 +78,7 @@ def to_json(inference: Ranking, warnings: Sequence[str]) -> dict[str, Any]:
         ],
         "struck_out": _struck_out(inference),
         "warnings": list(warnings),
-        "diagnostics": [_task_diagnostics(inference, int(k)) for k in dict.fromkeys(tasks)],
+        "diagnostics": [_task_diagnostics(inference, *pair) for pair in verdicts_of],
     }
 
 
@@ -160,8 +162,8 @@ def _struck_out(inference: Ranking) -> list[dict[str, Any]]:
     ]
 
 
-def _task_diagnostics(inference: Ranking, task: int) -> dict[str, Any]:
-    """Return how well a task was sampled, and the verdict on its samples."""
+def _task_diagnostics(inference: Ranking, task: int, verdict: str) -> dict[str, Any]:
+    """Return how well a task was sampled, and the given verdict on its samples."""
     evidence = inference.evidence
     return {
         "task": task,
@@ -176,5 +178,5 @@ def _task_diagnostics(inference: Ranking, task: int) -> dict[str, Any]:
         "kl": float(evidence.kl[task]),
         "island_spread": float(evidence.island_spread[task]),
         "distinct_share": float(evidence.distinct_share[task]),
-        "verdict": verdicts.verdict(inference, task),
+        "verdict": verdict,
     }

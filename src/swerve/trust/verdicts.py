@@ -1,12 +1,8 @@
 """Judge how far the samples of each task can be trusted: warnings, and a verdict for each task.
 
-Samples are "not to be trusted" where the effective sample size is below max(100, 2 % of N) (see
-`estimators.least_effective`), where independent parts of the samples differ in log Z_0 by more than
-HIGH_SPREAD, or where the samples miss more than HIGH_MISSED of pi_0 (see `sampling.missed`).
-"Errors may be larger than stated" where the samples miss less, where the policy is far from pi_0,
-or where the solver's own log Z_0 differs from that of its samples. Otherwise the order of the first
-hypotheses may rest on sampling error. If the error allowed for a difference of scores is shared
-evenly among the K tasks in use, task k needs
+Samples that fail a check (see `sample_checks`) are "not to be trusted", or their "errors may be
+larger than stated". Otherwise the order of the first hypotheses may rest on sampling error. If the
+error allowed for a difference of scores is shared evenly among the K tasks in use, task k needs
 
     N_k = N K (n_k e_k / gap)^2
 
@@ -19,7 +15,7 @@ Shapes: K tasks.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -27,18 +23,10 @@ from swerve.base.phrases import NUM_NAMES
 from swerve.base.solver_kinds import kind_stored, solver_names
 from swerve.evidence.estimators import HOTTEST, LOW_ESS
 from swerve.evidence.evidence import Evidence
-from swerve.evidence.samples import RESAMPLED, TEMPERED
+from swerve.evidence.samples import TEMPERED
 from swerve.inference.ranking import TIE_ERRORS, Ranking
+from swerve.trust.sample_checks import HIGH_KL, HIGH_MISSED, Checks, sample_checks
 
-HIGH_KL = {  # nats, by method: above this KL between policy and pi_0, errors may be understated
-    "smc": math.inf,
-    "tempered": math.inf,
-    "importance": 0.5,
-    "plain": 0.1,
-}
-HIGH_SPREAD = 1.0  # nats, standard deviation of log Z_0 over islands: above, the islands disagree
-HIGH_MISSED = 0.1  # share of pi_0 that the samples miss: above, no estimate is to be trusted
-NUM_ERRORS = 3.0  # standard errors by which the solver's log Z_0 and the samples' may differ
 GOOD_ESS_SHARE = 0.3  # share of N: above this ESS, the policy is good but samples are too few
 NUM_SETTLED = 3  # hypotheses at the head of the ranking whose order has to be settled
 MOST_SAMPLES = 10_000_000  # trajectories per task: larger numbers are never suggested
@@ -48,38 +36,58 @@ FAR_BEHIND = 7.0  # nats below the first, less errors: 1,000 times less likely, 
 
 def warnings(inference: Ranking) -> Iterator[str]:
     """Yield warnings about the samples, each kind once."""
-    yield from _too_few(inference)
-    yield from _apart(inference)
-    yield from _missing(inference)
+    checks = sample_checks(inference)
+    yield from _too_few(inference, checks)
+    yield from _apart(inference, checks)
+    yield from _missing(inference, checks)
     yield from _too_hot(inference)
-    yield from _far_policy(inference)
-    yield from _closed_in(inference)
-    yield from _wrong_value(inference)
+    yield from _far_policy(inference, checks)
+    yield from _closed_in(inference, checks)
+    yield from _wrong_value(inference, checks)
 
 
 def verdict(inference: Ranking, task: int) -> str:
     """Return how far the samples of a task can be trusted, for example 'settled'."""
-    evidence = inference.evidence
-    if evidence.is_exact:
-        return "exact"
-    if _has_too_few(inference)[task]:
+    return verdicts(inference, [task])[0]
+
+
+def verdicts(inference: Ranking, tasks: Sequence[int]) -> list[str]:
+    """Return how far the samples of each of some tasks can be trusted, for example 'settled'."""
+    if inference.evidence.is_exact:
+        return ["exact"] * len(tasks)
+    checks, sample_of = sample_checks(inference), inference.evidence.sample_of
+    num_tasks = len(np.unique(sample_of[inference.task_counts > 0]))  # equal tasks count once
+    return [
+        _doubt(inference.evidence, checks, task) or _settled(inference, task, num_tasks)
+        for task in tasks
+    ]
+
+
+def _doubt(evidence: Evidence, checks: Checks, task: int) -> str:
+    """Return the first reason not to trust the samples of a task; '' if there is none."""
+    if checks.too_few[task]:
         left = f"{evidence.effective_sample_size[task]:.0f} of {evidence.num_trajectories}"
         other = f" at another beta: {_at_its_beta(evidence)}" if evidence.is_of_other_beta else ""
         return f"not to be trusted: effective sample size {left}{other}"
-    if _is_apart(inference)[task]:
+    if checks.apart[task]:
         return f"not to be trusted: parts of its samples differ {_apart_by(evidence, task)}"
-    if _misses(inference)[task]:
+    if checks.missing[task]:
         return f"{_missing_text(evidence.missed_share[task])} of pi_0 was not sampled"
     if is_too_hot(evidence):
         return f"errors may be larger than stated: {_at_its_beta(evidence)}"
-    if _is_far(inference)[task]:
+    if checks.far[task]:
         return f"errors may be larger than stated: KL {evidence.kl[task]:.2f} nats"
-    if _is_closed(inference)[task]:
+    if checks.closed[task]:
         return f"errors may be larger than stated: {CLOSED_IN}"
-    if (_value_gap(inference) > 0.0)[task]:
+    if checks.value_gap[task]:
         values = f"{evidence.soft_value[task]:.2f}, not {evidence.log_partition[task]:.2f} nats"
         return f"errors may be larger than stated: the solver's log Z_0 is {values}"
-    num, needed = evidence.num_trajectories, _samples_needed(inference, task)
+    return ""
+
+
+def _settled(inference: Ranking, task: int, num_tasks: int) -> str:
+    """Return whether the samples of one of `num_tasks` tasks in use settle the ranking."""
+    num, needed = inference.evidence.num_trajectories, _samples_needed(inference, task, num_tasks)
     if needed.max(initial=0.0) <= num:
         return "settled"
     text = f"ranking of the first {NUM_SETTLED} not settled"
@@ -93,7 +101,7 @@ def verdict(inference: Ranking, task: int) -> str:
 def summary(inference: Ranking) -> str:
     """Return the verdicts of all tasks in use, in a few lines."""
     tasks = np.flatnonzero(inference.task_counts).tolist()
-    texts = {task: verdict(inference, task) for task in tasks}
+    texts = dict(zip(tasks, verdicts(inference, tasks), strict=True))
     others = [task for task in tasks if texts[task] not in ("settled", "exact")]
     if not others:
         return f"{len(tasks)} of {len(tasks)} tasks {texts[tasks[0]]}"
@@ -106,7 +114,7 @@ def summary(inference: Ranking) -> str:
     return "\n".join(lines)
 
 
-def _samples_needed(inference: Ranking, task: int) -> np.ndarray:
+def _samples_needed(inference: Ranking, task: int, num_tasks: int) -> np.ndarray:
     """Return N_k of the module's formula for each gap between neighbours of the first hypotheses.
 
     N_k is infinite where a score rests on a number that more samples do not change. N_k is 0 for
@@ -140,8 +148,9 @@ def is_untrusted(inference: Ranking) -> bool:
     """Return whether the samples of a task in use are not to be trusted at all."""
     if inference.evidence.is_exact:
         return False
-    is_far_off = _misses(inference) & (inference.evidence.missed_share > HIGH_MISSED)
-    return bool((_has_too_few(inference) | _is_apart(inference) | is_far_off).any())
+    checks = sample_checks(inference)
+    is_far_off = checks.missing & (inference.evidence.missed_share > HIGH_MISSED)
+    return bool((checks.too_few | checks.apart | is_far_off).any())
 
 
 def is_too_hot(evidence: Evidence) -> bool:
@@ -153,84 +162,40 @@ def is_too_hot(evidence: Evidence) -> bool:
     return evidence.problem.beta < HOTTEST * evidence.sampling_beta
 
 
-def _has_too_few(inference: Ranking) -> np.ndarray:
-    """Return [K] True where the effective sample size of a task in use is too small."""
-    return inference.evidence.has_too_few & (inference.task_counts > 0)
-
-
-def _is_apart(inference: Ranking) -> np.ndarray:
-    """Return [K] True where independent parts of the samples disagree on log Z_0."""
-    used = (inference.task_counts > 0) & ~_has_too_few(inference)
-    return used & (inference.evidence.island_spread > HIGH_SPREAD)
-
-
-def _misses(inference: Ranking) -> np.ndarray:
-    """Return [K] True where exploring found a part of pi_0 that the samples miss."""
-    used = (inference.task_counts > 0) & ~_has_too_few(inference)
-    return used & inference.evidence.is_missing
-
-
 def _missing_text(share: float) -> str:
     doubt = "not to be trusted" if share > HIGH_MISSED else "errors may be larger than stated"
     return f"{doubt}: about {100 * share:.2g} %"
 
 
-def _is_far(inference: Ranking) -> np.ndarray:
-    """Return [K] True where the policy of a task is too far from pi_0."""
-    used = (inference.task_counts > 0) & ~_has_too_few(inference)
-    return used & (inference.evidence.kl > HIGH_KL[inference.evidence.method])
+def _worst(
+    inference: Ranking, fails: np.ndarray, size: np.ndarray
+) -> Iterator[tuple[int, str, str]]:
+    """Yield the task of the largest size [K] that fails a check [K], if any task fails it.
 
-
-def _is_closed(inference: Ranking) -> np.ndarray:
-    """Return [K] True where by the solver's soft value nobody gets out of the start."""
-    used = (inference.task_counts > 0) & ~_has_too_few(inference)
-    return used & np.isneginf(inference.evidence.soft_value)
-
-
-def _value_gap(inference: Ranking) -> np.ndarray:
-    """Return [K] the unexplained gap between log Z_0 of the solver and of its samples, nats.
-
-    Importance weights explain a gap of -log(ESS / N), for example where only the share ESS / N of
-    the trajectories survives a wall. Resampled trajectories of a grid do not explain this gap,
-    since their ESS counts ancestors. The gap is 0 for tasks not in use, and where the solver has no
-    soft value or closes the start in.
+    The task comes with its name and the share of the tasks in use that fail: '3 of 7 tasks'.
     """
-    evidence = inference.evidence
-    kind = kind_stored(evidence.solver)
-    used = (inference.task_counts > 0) & ~_has_too_few(inference)
-    share = evidence.effective_sample_size / evidence.num_trajectories
-    error = np.sqrt(np.maximum(1.0 / share - 1.0, 0.0) / evidence.num_trajectories)  # in log Z_0
-    if evidence.method in RESAMPLED and kind.computes_value:
-        share, error = np.ones_like(share), evidence.log_partition_error
-    explained = NUM_ERRORS * error - np.log(share)
-    allowed = kind.value_gap or 0.0
-    has_value = np.isfinite(evidence.soft_value)
-    value = np.where(has_value, evidence.soft_value, evidence.log_partition)
-    gap = np.abs(value - evidence.log_partition) - explained - allowed
-    return np.where(used & has_value & (gap > 0.0), gap, 0.0)
+    if fails.any():
+        worst = int(np.where(fails, size, -np.inf).argmax())
+        num, num_used = (np.count_nonzero(tasks) for tasks in (fails, inference.task_counts))
+        yield worst, inference.task_name(worst), f"{num} of {num_used} tasks"
 
 
-def _too_few(inference: Ranking) -> Iterator[str]:
-    evidence, used, low = inference.evidence, inference.task_counts > 0, _has_too_few(inference)
-    ess, num = evidence.effective_sample_size, evidence.num_trajectories
-    if low.any():
-        worst = int(np.flatnonzero(low)[ess[low].argmin()])
+def _too_few(inference: Ranking, checks: Checks) -> Iterator[str]:
+    evidence, ess = inference.evidence, inference.evidence.effective_sample_size
+    for worst, name, share in _worst(inference, checks.too_few, -ess):
+        num = evidence.num_trajectories
         yield (
-            f"not to be trusted: the effective sample size is too low for {low.sum()} of "
-            f"{np.count_nonzero(used)} tasks (worst: {inference.task_name(worst)}, "
+            f"not to be trusted: the effective sample size is too low for {share} (worst: {name}, "
             f"{ess[worst]:.0f} of {num}). {_remedy(evidence, ess[worst] / num)}"
         )
 
 
-def _apart(inference: Ranking) -> Iterator[str]:
-    evidence, apart = inference.evidence, _is_apart(inference)
-    if apart.any():
-        worst = int(np.where(apart, evidence.island_spread, 0.0).argmax())
+def _apart(inference: Ranking, checks: Checks) -> Iterator[str]:
+    evidence = inference.evidence
+    for worst, name, share in _worst(inference, checks.apart, evidence.island_spread):
         yield (
-            f"not to be trusted: for {apart.sum()} of {np.count_nonzero(inference.task_counts)} "
-            "tasks independent parts of the samples disagree on log Z_0 (worst: "
-            f"{inference.task_name(worst)}, {_apart_by(evidence, worst)}). "
-            f"{_remedy(evidence)}"
+            f"not to be trusted: for {share} independent parts of the samples disagree on log Z_0 "
+            f"(worst: {name}, {_apart_by(evidence, worst)}). {_remedy(evidence)}"
         )
 
 
@@ -242,15 +207,14 @@ def _apart_by(evidence: Evidence, task: int) -> str:
     return f"by {spread:.1f} nats in log Z_0"
 
 
-def _missing(inference: Ranking) -> Iterator[str]:
+def _missing(inference: Ranking, checks: Checks) -> Iterator[str]:
     """Yield a warning where trajectories that explore found what no sampled trajectory does."""
-    evidence, missing = inference.evidence, _misses(inference)
-    if missing.any():
-        worst = int(np.where(missing, evidence.missed_share, 0.0).argmax())
+    evidence = inference.evidence
+    num, num_used = (np.count_nonzero(tasks) for tasks in (checks.missing, inference.task_counts))
+    for worst, name, _ in _worst(inference, checks.missing, evidence.missed_share):
         yield (
-            f"{_missing_text(evidence.missed_share[worst])} of pi_0 was not sampled for "
-            f"{inference.task_name(worst)}, the worst of {missing.sum()} such tasks of "
-            f"{np.count_nonzero(inference.task_counts)}, but found by trajectories that deviate "
+            f"{_missing_text(evidence.missed_share[worst])} of pi_0 was not sampled for {name}, "
+            f"the worst of {num} such tasks of {num_used}, but found by trajectories that deviate "
             f"from the policy. {_remedy(evidence)}"
         )
 
@@ -264,45 +228,37 @@ def _too_hot(inference: Ranking) -> Iterator[str]:
         )
 
 
-def _far_policy(inference: Ranking) -> Iterator[str]:
+def _far_policy(inference: Ranking, checks: Checks) -> Iterator[str]:
     """Yield a warning where the policy is so far from pi_0 that errors may be understated."""
-    evidence, far = inference.evidence, _is_far(inference)
-    if far.any():
-        worst = int(np.where(far, evidence.kl, 0.0).argmax())
-        cause = "trajectories that the policy hardly ever takes may be missing"
-        if evidence.method == "plain":
-            cause = "plain weights assume that the policy is pi_0: use importance weights"
+    evidence = inference.evidence
+    cause = "trajectories that the policy hardly ever takes may be missing"
+    if evidence.method == "plain":
+        cause = "plain weights assume that the policy is pi_0: use importance weights"
+    for worst, name, share in _worst(inference, checks.far, evidence.kl):
         yield (
-            f"errors may be larger than stated: for {far.sum()} of "
-            f"{np.count_nonzero(inference.task_counts)} tasks the policy is more than "
-            f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {inference.task_name(worst)}, KL "
+            f"errors may be larger than stated: for {share} the policy is more than "
+            f"{HIGH_KL[evidence.method]:g} nats from pi_0 (worst: {name}, KL "
             f"{evidence.kl[worst]:.2f}), and {cause}. {_remedy(evidence)}"
         )
 
 
-def _closed_in(inference: Ranking) -> Iterator[str]:
+def _closed_in(inference: Ranking, checks: Checks) -> Iterator[str]:
     """Yield a warning where nobody gets out of a start by the solver, and samples do."""
-    closed = _is_closed(inference)
-    if closed.any():
-        first = int(closed.argmax())
+    for _, name, share in _worst(inference, checks.closed, np.zeros(len(checks.closed))):
         yield (
-            f"errors may be larger than stated: {CLOSED_IN} for {np.count_nonzero(closed)} of "
-            f"{np.count_nonzero(inference.task_counts)} tasks (first: "
-            f"{inference.task_name(first)}), yet samples get out. {_remedy(inference.evidence)}"
+            f"errors may be larger than stated: {CLOSED_IN} for {share} (first: {name}), yet "
+            f"samples get out. {_remedy(inference.evidence)}"
         )
 
 
-def _wrong_value(inference: Ranking) -> Iterator[str]:
+def _wrong_value(inference: Ranking, checks: Checks) -> Iterator[str]:
     """Yield a warning where log Z_0 of the solver differs from log Z_0 of the samples."""
-    evidence, gap = inference.evidence, _value_gap(inference)
-    if gap.any():
-        worst = int(gap.argmax())
+    evidence, gap = inference.evidence, checks.value_gap
+    for worst, name, share in _worst(inference, gap > 0.0, gap):
+        values = f"{evidence.soft_value[worst]:.2f} and {evidence.log_partition[worst]:.2f} nats"
         yield (
-            f"errors may be larger than stated: for {np.count_nonzero(gap)} of "
-            f"{np.count_nonzero(inference.task_counts)} tasks the solver's log Z_0 is not that of "
-            f"its samples (worst: {inference.task_name(worst)}, "
-            f"{evidence.soft_value[worst]:.2f} and {evidence.log_partition[worst]:.2f} nats). "
-            f"{_remedy(evidence)}"
+            f"errors may be larger than stated: for {share} the solver's log Z_0 is not that of "
+            f"its samples (worst: {name}, {values}). {_remedy(evidence)}"
         )
 
 
