@@ -54,8 +54,8 @@ def find_each(problem: ProblemRecord, known: Task, tasks: Task) -> np.ndarray:
         distance = _distance(problem, _rows(known, number), _rows(tasks, row))
         order = np.lexsort((number, distance, row))
         order = order[distance[order] <= MATCH_TOLERANCE]
-        found, first = np.unique(row[order], return_index=True)
-        numbers[found] = number[order[first]]
+        order = order[np.diff(row[order], prepend=-1) > 0]
+        numbers[row[order]] = number[order]
     return numbers
 
 
@@ -121,8 +121,8 @@ def match_each(
       ValueError: if a task is not known; the message names the nearest known task.
     """
     numbers = find_each(problem, known, tasks)
-    for row in np.flatnonzero(numbers < 0)[:1].tolist():
-        match(problem, known, _rows(tasks, row), names[row])
+    for row in np.flatnonzero(numbers < 0)[:1]:
+        match(problem, known, _rows(tasks, row), names[int(row)])
     return numbers
 
 

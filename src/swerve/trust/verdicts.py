@@ -9,7 +9,7 @@ error allowed for a difference of scores is shared evenly among the K tasks in u
 trajectories, where n_k e_k is twice the sum of the amounts that the task's n_k demonstrations add
 to the standard errors of the two scores. No check detects modes that not even explorers find.
 
-Shapes: K tasks.
+Shapes: K tasks, M of them asked for, G gaps between neighbours of the ranking.
 """
 
 from __future__ import annotations
@@ -55,11 +55,10 @@ def verdicts(inference: Ranking, tasks: Sequence[int]) -> list[str]:
     """Return how far the samples of each of some tasks can be trusted, for example 'settled'."""
     if inference.evidence.is_exact:
         return ["exact"] * len(tasks)
-    checks, sample_of = sample_checks(inference), inference.evidence.sample_of
-    num_tasks = len(np.unique(sample_of[inference.task_counts > 0]))  # equal tasks count once
+    checks, needed = sample_checks(inference), _samples_needed(inference, tasks)
     return [
-        _doubt(inference.evidence, checks, task) or _settled(inference, task, num_tasks)
-        for task in tasks
+        _doubt(inference.evidence, checks, task) or _settled(inference.evidence, num)
+        for task, num in zip(tasks, needed, strict=True)
     ]
 
 
@@ -85,9 +84,9 @@ def _doubt(evidence: Evidence, checks: Checks, task: int) -> str:
     return ""
 
 
-def _settled(inference: Ranking, task: int, num_tasks: int) -> str:
-    """Return whether the samples of one of `num_tasks` tasks in use settle the ranking."""
-    num, needed = inference.evidence.num_trajectories, _samples_needed(inference, task, num_tasks)
+def _settled(evidence: Evidence, needed: np.ndarray) -> str:
+    """Return whether the samples of a task settle the ranking, given the numbers that it needs."""
+    num = evidence.num_trajectories
     if needed.max(initial=0.0) <= num:
         return "settled"
     text = f"ranking of the first {NUM_SETTLED} not settled"
@@ -114,28 +113,34 @@ def summary(inference: Ranking) -> str:
     return "\n".join(lines)
 
 
-def _samples_needed(inference: Ranking, task: int, num_tasks: int) -> np.ndarray:
-    """Return N_k of the module's formula for each gap between neighbours of the first hypotheses.
+def _samples_needed(inference: Ranking, tasks: Sequence[int]) -> np.ndarray:
+    """Return N_k [M, G] of the module's formula for each gap between the first hypotheses.
 
     N_k is infinite where a score rests on a number that more samples do not change. N_k is 0 for
     hypotheses that explain nothing within the errors, or are far behind the first hypothesis: these
     need no order.
+
+    Args:
+      inference: a ranking by sampled evidence.
+      tasks: [M] numbers of tasks.
     """
     first = inference.ranking[: NUM_SETTLED + 1]
     evidence, sample_of = inference.evidence, inference.evidence.sample_of
     num_tasks = len(set(sample_of[inference.task_counts > 0].tolist()))  # equal tasks count once
-    error = inference.task_error[sample_of == sample_of[task]][:, first].sum(axis=0)
+    of_sample = np.zeros((sample_of.max() + 1, len(first)))
+    np.add.at(of_sample, sample_of, inference.task_error[:, first])
+    error = of_sample[sample_of][tasks].T
     score = inference.score[first]
-    gap = np.maximum(score[:-1] - score[1:], 1e-12)
+    gap = np.maximum(score[:-1] - score[1:], 1e-12)[:, None]
     share = num_tasks * (TIE_ERRORS * (error[1:] + error[:-1]) / gap) ** 2
     needs_none = score[:-1] <= TIE_ERRORS * inference.score_error[first[:-1]]
     if inference.score_name == "likelihood":
         doubt = TIE_ERRORS * (inference.score_error[first[:1]] + inference.score_error[first[:-1]])
         needs_none |= score[:1] - score[:-1] - doubt > FAR_BEHIND
     share[needs_none] = 0.0
-    is_fixed = (evidence.is_resolved | evidence.is_floored)[task, first]
+    is_fixed = (evidence.is_resolved | evidence.is_floored)[:, first][tasks].T
     share[(share > 1.0) & (is_fixed[1:] | is_fixed[:-1])] = np.inf
-    return evidence.num_trajectories * share
+    return evidence.num_trajectories * share.T
 
 
 def _round_up(number: float) -> int:
