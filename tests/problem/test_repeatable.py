@@ -58,6 +58,13 @@ class Clock(Bare):
         return jnp.sum(state) - float(time.perf_counter_ns() % 1_000_000_007)
 
 
+class Featuring(Bare):
+    """The inputs of its networks depend on how often they were asked for."""
+
+    def features(self, state, step, goal):
+        return super().features(state, step, goal) + 0.001 * next(counter)
+
+
 class Tracing(Bare):
     """Its dynamics are others while JAX traces them: each time others."""
 
@@ -95,6 +102,7 @@ class Two(Bare):
         (Paying(), "Paying.reward: called twice with the same arguments, it returned"),
         (Ending(), "Ending.terminated: "),
         (Clock(), "Clock.terminal_reward: called twice with the same arguments, it returned"),
+        (Featuring(), "Featuring.features: called twice with the same arguments, it returned"),
         (Tracing(), "Tracing.dynamics: traced twice by JAX, it gave two different programs"),
         (Jitted(), "Jitted.dynamics: called twice with the same arguments, it returned"),
         (Two(), r"Two.dynamics: it returned \[.*\], and traced by JAX \["),

@@ -10,9 +10,6 @@ from typing import Any
 import pytest
 from support.command import Run
 
-from swerve.base import store
-from swerve.problem.loading import file_hash
-
 STORED = Path(__file__).parents[1] / "data" / "before_packages"
 INFER = ("infer", "pendulum?max_torque=10", "--json")
 SETTINGS = ("--solver", "grid?num_points=24", "--samples", 20)
@@ -60,29 +57,3 @@ def test_an_old_nominal_distribution_is_used_for_new_tasks(run: Run, tmp_path: P
     new = json.loads(out)["diagnostics"][0]
     for name in ("start", "log_partition", "effective_sample_size", "kl"):
         assert new[name] == old[name]
-
-
-@pytest.mark.parametrize("change", ["none", "system", "user"])
-def test_a_folder_of_a_checkout_is_used_unless_a_file_changed_after_the_move(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
-) -> None:
-    work, checkout = tmp_path / "work", tmp_path / "src" / "swerve"
-    shutil.copytree(STORED / "work", work)
-    (checkout / "systems").mkdir(parents=True)
-    pendulum, robot = checkout / "systems" / "pendulum.py", tmp_path / "robot.py"
-    pendulum.write_text("# imports other modules than before\n")
-    robot.write_text("MASS = 1.0\n")
-    moved = {"a" * 64: "b" * 64, "c" * 64: file_hash(pendulum)}
-    monkeypatch.setattr("swerve.work.folder.AS_MOVED", moved)
-    record = store.read_json(work / "problem.json")
-    old = {checkout / "mdp.py": "a" * 64, pendulum: "c" * 64, robot: file_hash(robot)}
-    record["sources"] = {str(path): value for path, value in old.items()}
-    store.write_json(work / "problem.json", record)
-    edited = {"system": pendulum, "user": robot}.get(change)
-    if edited is not None:
-        edited.write_text("MASS = 2.0\n")
-    options = ("--tasks", STORED / "tasks.csv", "--work", work)
-    status, _, said = run(*INFER, *options, *SETTINGS)
-    assert status == 0, said
-    assert (f"out of date ({edited} has changed)" in said) == (edited is not None)
-    assert ("learning" in said) == (edited is not None)

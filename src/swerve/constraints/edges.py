@@ -3,7 +3,7 @@
     x lies at or above an edge e    where    float32(x) >= float32(e - r),
 
 with r the resolution: about a millionth of the state's extent (`StateSpace.resolution`), at most
-SHARE of the width of the region, and at least the spacing of float32 at the edge. So a number that
+SHARE of the width of the region, and at least twice the spacing of float32 at the edge. So a number that
 lies on an edge but for rounding counts as on it, whether it was recorded in decimals,
 simulated in float32 or computed in float64. An interval [low, high) holds the numbers that are at
 or above low and not at or above high. The interval of an angle is repeated at every turn. For

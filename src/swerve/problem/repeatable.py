@@ -56,6 +56,7 @@ def check_repeatable(mdp: Any, digest: str) -> None:
         ("reward", mdp.reward, (state, action, next_state, goal)),
         ("terminal_reward", mdp.terminal_reward, (state, goal)),
         ("terminated", mdp.terminated, (state, goal)),
+        ("features", mdp.features, (state, jnp.int32(1), goal)),
     ):
         _check_method(f"{name}.{label}", method, arguments)
     checked.add(digest)

@@ -36,10 +36,9 @@ from swerve.base.space import Task
 from swerve.base.version import VERSION
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.matching import find_each
-from swerve.problem.loading import MISSING, canonical_problem, file_hash
+from swerve.problem.loading import canonical_problem, file_hash
 from swerve.problem.record import ProblemRecord
 from swerve.problem.schema import stored_record
-from swerve.work.moved_sources import AS_MOVED
 from swerve.work.outdated import RECORD, is_unfinished, recover, set_aside
 from swerve.work.settings import Settings
 
@@ -199,7 +198,7 @@ class WorkFolder:
         changes = [
             f"{source} has changed"
             for source, old in stored.sources.items()
-            if _has_changed(source, old)
+            if file_hash(Path(source)) != old
         ]
         if stored.swerve != VERSION:
             changes.append(f"swerve was {stored.swerve} and is {VERSION}")
@@ -273,12 +272,3 @@ class WorkFolder:
 def missing_rows(evidence: Evidence, tasks: Task) -> list[int]:
     """Return the rows of the tasks that evidence lacks."""
     return np.flatnonzero(find_each(evidence.problem, evidence.tasks, tasks) < 0).tolist()
-
-
-def _has_changed(source: str, old: str) -> bool:
-    """Return whether a source file differs from its recorded hash by more than the move.
-
-    The move into packages took `mdp.py` away, so that a file of this hash may be missing.
-    """
-    now = file_hash(Path(source))
-    return now != old and not (old in AS_MOVED and now in (AS_MOVED[old], MISSING))
