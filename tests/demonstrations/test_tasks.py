@@ -10,8 +10,8 @@ import polars as pl
 import pytest
 from support.demonstration_files import PENDULUM, PLANE, ROWS, TASKS, read_one, save
 
-from swerve.base.space import TWO_PI
-from swerve.demonstrations.checks import START_TOLERANCE
+from swerve.base.space import TWO_PI, StateSpace, Task
+from swerve.demonstrations.checks import START_TOLERANCE, check_start
 from swerve.demonstrations.demonstration import read_demonstrations, read_tasks
 
 
@@ -106,6 +106,17 @@ class TestTasks:
         with pytest.raises(
             ValueError,
             match=r"demo_7.csv: the first state is x = 1.0101, y = 0, but the task starts at "
-            r"x = 1, y = 0: 0.001 of the extent apart, expected at most 0.001; correct either",
+            r"x = 1, y = 0: 0.00101 of the extent apart, expected at most 0.001; correct either",
         ):
             read_one(path, tasks=tasks)
+
+    def test_a_start_that_differs_in_late_digits(self) -> None:
+        """At 1,000 km from the origin of a map, a millimetre is the tenth digit."""
+        space = StateSpace(("x", "y"), (), np.array([[1e6, 1e6 + 1.0], [0.0, 1.0]]))
+        task = Task(np.array([1e6, 0.0]), np.array([1e6, 0.0]))
+        message = (
+            "walk: the first state is x = 1000000.004, y = 0, but the task starts at x = 1000000, "
+            "y = 0: 0.004 of the extent apart, expected at most 0.001; correct either"
+        )
+        with pytest.raises(ValueError, match=message):
+            check_start(np.array([1e6 + 0.004, 0.0]), task, space, "walk")

@@ -62,6 +62,18 @@ class TestFind:
         with pytest.raises(ValueError, match="the task: no evidence for start"):
             evidence.match(Task(TASKS.start[0], TASKS.goal[1]))
 
+    def test_no_match_tells_both_apart(self) -> None:
+        """A kilometre from the origin, four digits would be the same for both."""
+        space = StateSpace(SPACE.names, SPACE.angles, np.array([[0.0, TWO_PI], [1000.0, 1008.0]]))
+        tasks = Task(np.array([[3.0, 1000.1]]), np.array([[2.0, 1004.0]]))
+        message = (
+            r"no evidence for start \(3, 1000\.11\) and goal \(2, 1004\); the nearest of 1 tasks "
+            r"is start \(3, 1000\.1\), goal \(2, 1004\)\. Sample"
+        )
+        evidence = make_evidence(make_record(space=space), tasks=tasks)
+        with pytest.raises(ValueError, match=message):
+            evidence.match(Task(np.array([3.0, 1000.11]), tasks.goal[0]))
+
     def test_goals_that_are_no_states_are_compared_by_value(self) -> None:
         record = make_record(goal_names=("height",))
         tasks = Task(TASKS.start, np.array([[0.0], [1000.0], [TWO_PI]]))

@@ -12,6 +12,7 @@ import unicodedata
 from collections.abc import Sequence
 
 LEAST_PERCENT = 5e-4  # probability: smaller values are written as powers of ten, not in per cent
+MOST_DIGITS = 15  # significant digits: beyond, numbers differ by the rounding of float64
 NUM_NAMES = 3  # names that are listed before the other names are only counted
 
 
@@ -45,6 +46,17 @@ def measured(value: float, error: float) -> str:
         return f"{value:.2f}"
     digits = 4 if error < 1e-4 else max(0, -math.floor(math.log10(float(f"{error:.0e}"))))
     return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
+def told_apart(value: float, other: float, digits: int) -> tuple[str, str]:
+    """Return two numbers as texts of so many digits, or of as many more as tell them apart.
+
+    Numbers that agree in MOST_DIGITS digits have the same text.
+    """
+    texts = f"{value:.{digits}g}", f"{other:.{digits}g}"
+    if texts[0] != texts[1] or digits >= MOST_DIGITS:
+        return texts
+    return told_apart(value, other, digits + 1)
 
 
 def counted(number: int, noun: str) -> str:

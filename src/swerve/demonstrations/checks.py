@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from swerve.base.arguments import real_numbers
+from swerve.base.phrases import told_apart
 from swerve.base.space import MAX_HALF_EXTENTS, MAX_TURNS, TWO_PI, StateSpace, Task, Transitions
 
 START_TOLERANCE = 1e-3
@@ -255,13 +256,15 @@ def check_start(state: np.ndarray, task: Task, space: StateSpace, where: str) ->
     """Raise ValueError where a first state [n] is not the start of its task."""
     distance = space.relative_distance(state, task.start)
     if distance > START_TOLERANCE:
+        pairs = [told_apart(*pair, 9) for pair in zip(state, task.start, strict=True)]
         first, start = (
-            ", ".join(f"{name} = {x:.9g}" for name, x in zip(space.names, point, strict=True))
-            for point in (state, task.start)
+            ", ".join(f"{name} = {x}" for name, x in zip(space.names, texts, strict=True))
+            for texts in zip(*pairs, strict=True)
         )
+        apart, most = told_apart(float(distance), START_TOLERANCE, 2)
         raise ValueError(
-            f"{where}: the first state is {first}, but the task starts at {start}: {distance:.2g} "
-            f"of the extent apart, expected at most {START_TOLERANCE:g}; correct either"
+            f"{where}: the first state is {first}, but the task starts at {start}: {apart} of the "
+            f"extent apart, expected at most {most}; correct either"
         )
 
 

@@ -6,10 +6,11 @@ Shapes: K tasks, D demonstrations, n states, g goal dimensions, P pairs of tasks
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from swerve.base.phrases import told_apart
 from swerve.base.space import Task
 from swerve.problem.record import ProblemRecord
 
@@ -148,11 +149,13 @@ def match(problem: ProblemRecord, known: Task, task: Task, name: str) -> int:
 
 def _no_evidence(known: Task, task: Task, nearest_one: int, name: str) -> ValueError:
     """Return an error that says that a task has no evidence, and names the nearest known task."""
-    start, goal = (part[nearest_one] for part in known)
+    (start, known_start), (goal, known_goal) = (
+        _numbers(asked, part[nearest_one]) for asked, part in zip(task, known, strict=True)
+    )
     return ValueError(
-        f"{name}: no evidence for start {_numbers(task.start)} and goal {_numbers(task.goal)}; the "
-        f"nearest of {len(known.start)} tasks is start {_numbers(start)}, goal {_numbers(goal)}. "
-        "Sample this task too: swerve.sample(nominal, tasks)"
+        f"{name}: no evidence for start {start} and goal {goal}; the nearest of "
+        f"{len(known.start)} tasks is start {known_start}, goal {known_goal}. Sample this task "
+        "too: swerve.sample(nominal, tasks)"
     )
 
 
@@ -172,5 +175,8 @@ def _rows(task: Task, rows: int | np.ndarray) -> Task:
     return Task(*(part[rows] for part in task))
 
 
-def _numbers(values: Any) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in np.asarray(values)) + ")"
+def _numbers(values: np.ndarray, others: np.ndarray) -> tuple[str, str]:
+    """Return two points as texts, with enough digits to tell their numbers apart."""
+    pairs = [told_apart(*pair, 4) for pair in zip(values, others, strict=True)]
+    one, other = zip(*pairs, strict=True) if pairs else ((), ())
+    return f"({', '.join(one)})", f"({', '.join(other)})"
