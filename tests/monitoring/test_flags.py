@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from support.monitors import START, make_monitor
 from support.synthetic import TASKS, make_evidence, make_record
 
@@ -42,6 +43,36 @@ def test_odd_states_are_flagged_and_the_monitor_goes_on() -> None:
     assert monitor.observe([theta, x + 6.0], 0.4).flags == ("unreachable",)
     assert monitor.observe([theta, 10.1], 0.5).flags == ("unreachable", "outside the bounds")
     assert monitor.observe([theta + TWO_PI, 10.0], 0.6).flags == ("past the horizon",)
+
+
+OTHER_UNIT = "times of another unit, such as milliseconds"
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e6])
+def test_times_of_another_unit_are_flagged(scale: float) -> None:
+    """A horizon of 5 steps lasts 0.5 s; microseconds come after far too long to be states of it."""
+    monitor = make_monitor(slow_evidence())
+    assert monitor.observe(START, 0.0).flags == ()
+    if scale > 1e3:
+        with pytest.raises(ValueError, match=r"is ignored. The times may be microseconds$"):
+            monitor.observe(START, 0.1 * scale)
+        return
+    for step in range(1, 5):
+        flags = monitor.observe(START, 0.1 * step * scale).flags
+        assert flags == ("gap", OTHER_UNIT, "past the horizon")
+
+
+def test_gaps_after_steps_of_the_model_are_no_other_unit() -> None:
+    """Nor is a demonstrator who is watched every now and then, or after the end."""
+    monitor = make_monitor(slow_evidence())
+    monitor.observe(START, 0.0)
+    monitor.observe(START, 0.1)
+    assert monitor.observe(START, 100.0).flags == ("gap", "past the horizon")
+    assert monitor.observe(START, 200.0).flags == ("gap", "past the horizon")
+    monitor = make_monitor(slow_evidence())
+    monitor.observe(START, 0.0)
+    assert monitor.observe(START, 0.4).flags == ("gap",)
+    assert monitor.observe(START, 100.0).flags == ("gap", "past the horizon")
 
 
 def test_a_known_constraint_is_flagged() -> None:

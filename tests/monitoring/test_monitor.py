@@ -195,6 +195,10 @@ def test_a_bad_state_changes_nothing(state, message: str) -> None:
             5e4,
             "expected seconds since the start of the task, got 50000 s, where the horizon is 0.5",
         ),
+        (
+            501.0,
+            r"got 501 s, where the horizon is 0.5 s; this state is ignored. The times may be mill",
+        ),
         (None, "expected a time for every state or for none, got None, and the last had a time"),
     ],
 )
@@ -204,6 +208,19 @@ def test_a_bad_time_changes_nothing(time, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         monitor.observe([0.2, 8.0], time)
     assert monitor.observe(START, 0.2).flags == ("repeated",)
+
+
+def test_a_monitor_may_go_on_for_long_after_the_end() -> None:
+    """As long as states come: only between two of them there are at most 1000 horizons."""
+    monitor = make_monitor()
+    for number in range(1, 90):
+        assert "past the horizon" in monitor.observe(START, 500.0 * number).flags
+    with pytest.raises(ValueError, match=r"got 45001 s, where the horizon is 0.5 s; this state"):
+        monitor.observe(START, 45001.0)
+    assert monitor.observe(START, 45000.0).flags
+    untimed = make_monitor(make_evidence(make_record(is_timed=False)))
+    untimed.observe(START, 0.0)
+    assert untimed.observe(START, 10_000.0).flags == ()
 
 
 def test_a_predicate_that_fails_changes_nothing() -> None:

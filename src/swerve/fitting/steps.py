@@ -19,12 +19,12 @@ import numpy as np
 
 from swerve.demonstrations.checks import check_finite, check_horizon, check_transitions, row_namer
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.demonstrations.durations import is_too_long, unit_hint
 from swerve.demonstrations.headers import why_absent
 from swerve.problem.mdp import MDP
 from swerve.systems.tabular import TabularMDP
 
 ON_TIME = 1e-3  # of a step: rows as close as this to the MDP's time steps are not interpolated
-MAX_HORIZONS = 1000  # rows may rest after the end of an episode, but not for longer than this
 
 
 class Steps(NamedTuple):
@@ -54,8 +54,8 @@ def steps_taken(mdp: MDP, demonstration: Demonstration) -> Steps:
 
     Raises:
       ValueError: if actions are missing and cannot be found, a step is impossible, or the
-        demonstration goes on for more steps than the horizon, or lasts for more than MAX_HORIZONS
-        horizons.
+        demonstration goes on for more steps than the horizon, or lasts for more than
+        `durations.MAX_HORIZONS` horizons.
     """
     rows = _at_steps(mdp, demonstration)
     if isinstance(mdp, TabularMDP):
@@ -105,10 +105,10 @@ def _at_steps(mdp: MDP, demonstration: Demonstration) -> _Rows:
 def _check_duration(duration: float, mdp: MDP, name: str) -> None:
     """Raise ValueError where a duration [s] is so long that its steps might not fit in memory."""
     horizon = mdp.num_steps * mdp.dt
-    if duration > MAX_HORIZONS * horizon:
+    if is_too_long(duration, horizon):
         raise ValueError(
             f"{name}: lasts {duration:.4g} s, and the model's episodes at most {horizon:.4g} s: "
-            "another unit of t? Convert the times to seconds"
+            f"another unit of t? Convert the times to seconds{unit_hint(duration, horizon)}"
         )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from swerve.base.space import TWO_PI
 from swerve.constraints.base import violates
 from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
+from swerve.demonstrations.durations import likely_unit
 from swerve.evidence.evidence import Evidence
 from swerve.trust.motion_watch import MotionWatch
 
@@ -27,6 +28,7 @@ UNREACHABLE = "unreachable"
 REPEATED = "repeated"
 CONFLICTING = "another state at the same time"
 GAP = "gap"
+UNIT = "times of another unit, such as milliseconds"
 OVERTIME = "past the horizon"
 SHORT = "cut short"
 KNOWN = "in a known constraint"
@@ -57,6 +59,7 @@ class StateChecks:
         self._jitter = (JITTER * space.extent).tolist()
         self._near_start = (START_TOLERANCE * space.unit).tolist()
         motion = evidence.motion
+        self._has_seconds = False  # whether steps of about the model's duration have come
         self._watch = None if motion is None else MotionWatch(motion, space)
 
     def of_first(self, values: list[float], now: float) -> tuple[str, ...]:
@@ -88,7 +91,7 @@ class StateChecks:
                 self._watch.begin(values)
             return [CONFLICTING]
         dt = self._problem.dt
-        flags = [GAP] if self._is_timed and elapsed > COARSE * dt else []
+        flags = self._of_duration(elapsed) if self._is_timed else []
         if not self._is_timed:  # however quickly the demonstrator moves, a move is a move
             elapsed = max(elapsed, dt)
         pairs = zip(self._fastest, self._jitter, strict=True)
@@ -99,6 +102,19 @@ class StateChecks:
             jumps, against = self._watch.step(values, moved, elapsed)
             is_jump, is_against = is_jump or bool(jumps), bool(against)
         return flags + [UNREACHABLE] * is_jump + [AGAINST] * is_against
+
+    def _of_duration(self, elapsed: float) -> list[str]:
+        """Return the flags of the duration of a step [s].
+
+        Once steps are about as long as the model's, the times are seconds, and what is longer is a
+        gap.
+        """
+        dt = self._problem.dt
+        if elapsed <= COARSE * dt:
+            self._has_seconds = True
+            return []
+        self._has_seconds = self._has_seconds or not likely_unit(elapsed, dt)
+        return [GAP] if self._has_seconds else [GAP, UNIT]
 
     def _of_place(self, values: list[float], last: list[float], now: float) -> list[str]:
         """Return the flags of a state's place and time."""

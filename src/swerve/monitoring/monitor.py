@@ -29,6 +29,7 @@ import numpy as np
 from swerve.base.arguments import instance, number_or_nan
 from swerve.base.space import Task
 from swerve.demonstrations.checks import unit_problem
+from swerve.demonstrations.durations import is_too_long, unit_hint
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.stepwise import stepwise
 from swerve.inference import likelihood
@@ -140,15 +141,16 @@ class Monitor:
           not the task's start (earlier states are then unknown); the state lies outside the bounds
           or in a known constraint; the state cannot be reached from the last state in the time
           between them; the state repeats the last state (which changes nothing) or contradicts it;
-          more than a step and a half lies between the two states; or the state is later than the
-          model's horizon.
+          more than a step and a half lies between the two states; the times seem to be of another
+          unit, since all states so far are that far apart; or the state is later than the model's
+          horizon.
 
         Raises:
           ValueError: if the state is not n finite numbers, or is so far outside the bounds that its
             unit must be wrong; or the time is not finite, is negative, is MAX_HORIZONS horizons or
-            later, runs backwards, or is given for some states only: then the monitor has not
-            changed. Or if no answer that the prior allows is left, or the foresight gives NaN:
-            then the state has been taken in.
+            later, is `durations.MAX_HORIZONS` horizons after the last state, runs backwards, or is
+            given for some states only: then the monitor has not changed. Or if no answer that the
+            prior allows is left, or the foresight gives NaN: then the state has been taken in.
         """
         values = self._checked(state)
         now, is_first = self._checked_time(time), not self._state
@@ -310,10 +312,12 @@ class Monitor:
         if not (math.isfinite(now) and now >= 0.0):
             raise ValueError(f"time: expected seconds since the start of the task, got {time!r}")
         horizon = self._problem.num_steps * self._problem.dt
-        if now >= MAX_HORIZONS * horizon:
+        elapsed = now - self._time if self._state else now
+        is_late = self._problem.is_timed and is_too_long(elapsed, horizon)
+        if is_late or now >= MAX_HORIZONS * horizon:
             raise ValueError(
                 f"time: expected seconds since the start of the task, got {now:g} s, where the "
-                f"horizon is {horizon:g} s; this state is ignored"
+                f"horizon is {horizon:g} s; this state is ignored{unit_hint(elapsed, horizon)}"
             )
         if self._state and now < self._time:
             raise ValueError(

@@ -14,27 +14,18 @@ import numpy as np
 
 from swerve.base.phrases import some_names
 from swerve.base.solver_kinds import kind_stored
-from swerve.base.space import StateSpace
 from swerve.constraints.base import violates
-from swerve.demonstrations.checks import (
-    COARSE,
-    FAST,
-    JITTER,
-    SPLIT,
-    START_TOLERANCE,
-    TIME_SLACK,
-    restarts,
-)
+from swerve.demonstrations.checks import FAST, JITTER, START_TOLERANCE
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
 from swerve.trust import bounds, verdicts
 from swerve.trust.hypothesis_doubts import hypothesis_warnings
 from swerve.trust.impossible import against_dynamics
+from swerve.trust.time_doubts import FAST_SHARE, time_doubts, why_jump
 
 FAR_END = 0.05  # share of a state's extent: a demonstration that ends nearer its goal has arrived
 FACTOR = 2.0  # times the reach of nominal ends: an end beyond is odd
-FAST_SHARE = 0.9  # quantile of the speeds of steps: noise makes single steps fast
 
 
 def warnings(inference: Ranking) -> tuple[str, ...]:
@@ -71,12 +62,7 @@ def doubts(demonstration: Demonstration, evidence: Evidence, task: int) -> dict[
     found |= {"still": _still(demonstration, evidence)}
     found |= {"end": _odd_end(demonstration, evidence, task) if is_known else ""}
     if problem.is_timed:
-        found |= {
-            "duration": _odd_duration(demonstration, evidence, task),
-            "speed": _odd_speed(demonstration, evidence, task)
-            or _jump(demonstration, evidence, task),
-            "rate": _coarse(demonstration, evidence),
-        }
+        found |= time_doubts(demonstration, evidence, task)
     elif problem.transitions is None:
         found["move"] = _odd_move(demonstration, evidence, task)
     if motion is not None:
@@ -116,80 +102,6 @@ def _odd_end(demonstration: Demonstration, evidence: Evidence, task: int) -> str
     )
 
 
-def _odd_duration(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
-    if demonstration.times is None:
-        return ""
-    duration = float(demonstration.times[-1] - demonstration.times[0])
-    longest = evidence.problem.num_steps * evidence.problem.dt
-    shortest = float(evidence.summary.shortest[task])
-    if duration > (1.0 + TIME_SLACK) * longest:
-        return (
-            f"lasts {duration:.4g} s, and the model's episodes at most {longest:.4g} s: another "
-            "unit of t, or a horizon that is too short?"
-        )
-    if duration < (1.0 - TIME_SLACK) * shortest:
-        return (
-            f"lasts {duration:.4g} s, and nominal trajectories at least {shortest:.4g} s: cut "
-            "short, or another unit of t?"
-        )
-    return ""
-
-
-def _steps(demonstration: Demonstration, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """Return the change of each state from row to row [L-1, n] and its duration [L-1] s."""
-    problem, states, times = evidence.problem, demonstration.states, demonstration.times
-    if times is None:  # assume that the demonstration lasts as long as an episode
-        times = np.linspace(0.0, problem.num_steps * problem.dt, len(states))
-    return np.abs(problem.space.difference(states[:-1], states[1:])), np.diff(times)
-
-
-def _odd_speed(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
-    problem = evidence.problem
-    horizon = problem.num_steps * problem.dt
-    moved, elapsed = _steps(demonstration, evidence)
-    # a quantile by sorting: np.quantile would take another 30 ms to load
-    speed = np.sort(moved / elapsed[:, None], axis=0)[int(FAST_SHARE * (len(moved) - 1))]
-    nominal = np.maximum(evidence.summary.fastest[task], 1e-6 * problem.space.extent / horizon)
-    worst = int((speed / nominal).argmax())
-    if speed[worst] <= FAST * nominal[worst]:
-        return ""
-    return (
-        f"changes {problem.space.names[worst]} by {speed[worst]:.3g} a second, "
-        f"{speed[worst] / nominal[worst]:.0f} times as fast as any nominal trajectory: another "
-        "unit, such as degrees, or another t?"
-    )
-
-
-def _jump(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
-    space, fastest = evidence.problem.space, evidence.summary.fastest[task]
-    moved, elapsed = _steps(demonstration, evidence)
-    beyond = moved - FAST * fastest * elapsed[:, None] - JITTER * space.extent
-    if not (beyond > 0.0).any():
-        return ""
-    k = int((beyond / space.extent).argmax())
-    row, column = (int(x) for x in np.unravel_index(k, beyond.shape))
-    return (
-        f"jumps by {moved[row, column]:.3g} in {space.names[column]} from row {row + 1} to row "
-        f"{row + 2}, in {elapsed[row]:.3g} s, where no nominal trajectory changes it faster than "
-        f"by {fastest[column]:.3g} a second: {_why_jump(demonstration, row, space)} Hypotheses on "
-        "the straight line between the rows count as entered"
-    )
-
-
-def _coarse(demonstration: Demonstration, evidence: Evidence) -> str:
-    problem, times = evidence.problem, demonstration.times
-    if times is None or not problem.between_states:
-        return ""
-    widest = float(np.diff(times).max())
-    if widest <= COARSE * problem.dt:
-        return ""
-    return (
-        f"has states up to {widest:.3g} s apart, where the model steps every {problem.dt:.3g} s: "
-        "the straight lines between them may cut through a hypothesis that was avoided, and strike "
-        "it out"
-    )
-
-
 def _odd_move(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
     """Return what is odd about the moves of a demonstration, whatever time they took.
 
@@ -216,16 +128,9 @@ def _odd_move(demonstration: Demonstration, evidence: Evidence, task: int) -> st
     return (
         f"jumps by {moved[row, i]:.3g} in {space.names[i]} from row {row + 1} to row {row + 2}, "
         f"where a move of the model changes it by at most {largest[i]:.3g}, and the other rows by "
-        f"{usual[i]:.3g} as a rule: {_why_jump(demonstration, row, space)} Hypotheses on the "
+        f"{usual[i]:.3g} as a rule: {why_jump(demonstration, row, space)} Hypotheses on the "
         "straight line between the rows count as entered"
     )
-
-
-def _why_jump(demonstration: Demonstration, row: int, space: StateSpace) -> str:
-    """Return what may have caused a jump from a row, counted from 0, to the next."""
-    if restarts(demonstration.states, row + 1, space):
-        return f"back to its start. {SPLIT}."
-    return "a glitch of the recording?"
 
 
 def _doubts(inference: Ranking) -> Iterator[str]:

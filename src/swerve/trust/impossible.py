@@ -1,14 +1,7 @@
 """Find demonstrations that the dynamics do not allow, and what would explain them.
 
-A component i of the state misses the dynamics in a window of rows by
-
-    m_i = |moved_i - predicted_i| - slack_i,
-
-where the slack is what actions and the straight lines between rows can explain (see
-`evidence.motion`). A window is impossible where m_i exceeds RELATIVE of the motion and JITTER of
-the extent. Windows of several lengths are tried: noise hides what single rows say, and long windows
-hide what comes and goes. One wrong row, which no window of usual motion shows, is looked for by
-itself.
+Their motion is held against the dynamics in windows (see `trust.recorded`). One wrong row, which no
+window of usual motion shows, is looked for by itself.
 
 Shapes: L rows, n state dimensions.
 """
@@ -17,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +18,6 @@ from swerve.demonstrations.checks import (
     FAST,
     IMPOSSIBLE_SHARE,
     JITTER,
-    LEAST_MOTION,
     RELATIVE,
     SPLIT,
     STRENGTH,
@@ -35,10 +26,8 @@ from swerve.demonstrations.checks import (
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.motion import STRAYING, Motion, Steps
 from swerve.problem.record import ProblemRecord
+from swerve.trust.recorded import Finding, Recording, moving
 
-WINDOWS = (1, 4, 16, 64)  # rows
-LEAST_WINDOWS = 4  # of a demonstration: fewer windows say little
-FAR = 3.0  # half widths from the middle of the bounds: the fit says nothing of states beyond
 USUAL_ERRORS = 6.0  # times the median error of a demonstration: a larger one is a glitch
 LEAST_JUDGED = 0.5  # share of the steps that must lie near the bounds for a cause to be believed
 EXPLAINED = 0.1  # share of the motion that may stay impossible where a cause explains the rest
@@ -65,120 +54,7 @@ UNITS = {
 
 GLITCH = "A glitch of the recording, or rows that are left out, swapped or repeated?"
 UNKNOWN = "A wrong sign, columns swapped, another unit, or another rate?"
-TINY = 1e-300  # for sums of motions that may be 0
-
-
-class Finding(NamedTuple):
-    """The worst of what is impossible.
-
-    Attributes:
-      share: share of the motion in this component that is impossible.
-      num_bad: number of windows that are impossible.
-      column: the component of the state.
-      first: first row of the worst window.
-      last: last row of the worst window.
-      moved: change of the component in the window.
-      predicted: change by the dynamics.
-    """
-
-    share: float
-    num_bad: int
-    column: int
-    first: int
-    last: int
-    moved: float
-    predicted: float
-
-
-class _Recording(NamedTuple):
-    """The rows of a demonstration until it comes to rest, and what they are held against.
-
-    Attributes:
-      states: [L, n].
-      elapsed: [L-1] s between the rows; None where it is not known.
-      problem: the problem.
-      motion: how states of the problem move.
-    """
-
-    states: np.ndarray
-    elapsed: np.ndarray | None
-    problem: ProblemRecord
-    motion: Motion
-
-    @property
-    def steps(self) -> Steps:
-        """The steps; without times, of the duration that leaves least impossible.
-
-        That is one step of the model, an even share of an episode, or what the motion of one
-        component tells.
-        """
-        states, space = self.states, self.problem.space
-        if self.elapsed is not None:
-            return self._steps(self.elapsed)
-        num, motion = len(states) - 1, self.motion
-        moved = np.abs(space.difference(states[:-1], states[1:])).mean(axis=0)
-        rates = np.abs(motion.rates(states[:-1], space)).mean(axis=0)
-        is_told = rates > motion.reach + motion.error  # by the state, whatever the actions
-        durations = [self.problem.dt, self.problem.num_steps * self.problem.dt / num]
-        durations += (moved[is_told] / rates[is_told]).tolist()
-        each = [self._steps(np.full(num, duration)) for duration in durations]
-        return min(each, key=lambda steps: self.worst(steps).share)
-
-    def _steps(self, elapsed: np.ndarray) -> Steps:
-        """Return the steps, all 0 where a state is too far outside the bounds for the fit."""
-        space, motion = self.problem.space, self.motion
-        offset = np.abs(self.states - space.bounds.mean(axis=1)) / (0.5 * space.extent)
-        offset = np.where(space.is_angle, 0.0, offset).max(axis=1)
-        steps = motion.steps(self.states, elapsed, space)
-        if (offset <= 1.0).all():
-            return steps
-        beyond = np.maximum(np.maximum(offset[1:], offset[:-1]), 1.0)[:, None]
-        bend = steps.bend + steps.duration * (beyond**2 - 1.0) * motion.error
-        return Steps(*(np.where(beyond <= FAR, x, 0.0) for x in steps._replace(bend=bend)))
-
-    def worst(self, steps: Steps, strength: float = STRENGTH) -> Finding:
-        """Return the component of which the largest share of the motion is impossible.
-
-        Args:
-          steps: steps of this recording.
-          strength: how many times as strong as the model's the actions may have been.
-        """
-        slack = steps.bend + steps.duration * (strength * self.motion.reach + self.motion.error)
-        parts = np.hstack([steps.moved, steps.predicted, slack])
-        findings = []
-        for width in WINDOWS:
-            starts = np.arange(0, len(parts), width)
-            if width > 1 and len(starts) < LEAST_WINDOWS:
-                break
-            sums = np.add.reduceat(parts, starts, axis=0) if width > 1 else parts
-            moved, predicted, allowed = np.split(sums, 3, axis=1)
-            findings.append(_worst_window(moved, predicted, allowed, width, self.problem.space))
-        found = max(findings, key=lambda finding: finding.share)
-        return found._replace(last=min(found.last, len(parts)))
-
-    def mismatch(self, steps: Steps, column: int) -> float:
-        """Return the share of the motion of a component that the dynamics do not explain."""
-        starts = np.arange(0, len(steps.moved), min(WINDOWS[2], max(1, len(steps.moved) // 4)))
-        moved, predicted = (
-            np.add.reduceat(part[:, column], starts) for part in (steps.moved, steps.predicted)
-        )
-        size = np.maximum(np.abs(moved), np.abs(predicted)).sum()
-        return float(np.abs(moved - predicted).sum() / max(size, TINY))
-
-
-def _worst_window(
-    moved: np.ndarray, predicted: np.ndarray, slack: np.ndarray, width: int, space: StateSpace
-) -> Finding:
-    """Return what is impossible in windows [W, n] of the same width."""
-    size = np.maximum(np.abs(moved), np.abs(predicted))
-    missed = np.abs(moved - predicted) - slack - RELATIVE * size - JITTER * space.extent
-    bad = np.where((missed > 0.0) & (size > LEAST_MOTION * space.extent), size, 0.0)
-    share = bad.sum(axis=0) / np.maximum(size.sum(axis=0), TINY)
-    i = int(share.argmax())
-    k = int(bad[:, i].argmax())
-    change = float(moved[k, i]), float(predicted[k, i])
-    num_bad = int(np.count_nonzero(bad[:, i]))
-    return Finding(float(share[i]), num_bad, i, k * width, (k + 1) * width, *change)
+UNTIMED = " It has no times: if its rows are not evenly spaced, give them [s] in a column t"
 
 
 def against_dynamics(demonstration: Demonstration, problem: ProblemRecord, motion: Motion) -> str:
@@ -194,11 +70,11 @@ def judged(
 
     The cause is GLITCH where it is a single step, '' where it is not known.
     """
-    states = _moving(states)
+    states = moving(states)
     if len(states) < 3:
         return None
     elapsed = None if times is None else np.diff(times[: len(states)])
-    recording = _Recording(states, elapsed, problem, motion)
+    recording = Recording(states, elapsed, problem, motion)
     steps = recording.steps
     strict = recording.worst(steps, STRICT)
     found, cause = strict, ""
@@ -236,13 +112,7 @@ def _glitch(steps: Steps, space: StateSpace, motion: Motion) -> Finding | None:
     return Finding(0.0, 1, i, row, row + 1, *change)
 
 
-def _moving(states: np.ndarray) -> np.ndarray:
-    """Return the states [L, n] up to the first of those at the end that are all the same."""
-    differs = np.flatnonzero((states != states[-1]).any(axis=1))
-    return states[: differs[-1] + 2] if len(differs) else states[:1]
-
-
-def _cause(recording: _Recording, found: Finding) -> str:
+def _cause(recording: Recording, found: Finding) -> str:
     """Return the mistake without which the rows after the first fit the dynamics; '' if unknown.
 
     The first row may be right where a task names it.
@@ -269,7 +139,7 @@ def _cause(recording: _Recording, found: Finding) -> str:
     return _best(units | _other_rates(rest, found))
 
 
-def _slower(recording: _Recording) -> str:
+def _slower(recording: Recording) -> str:
     """Return the nearest other unit of time in which no action seems too weak; '' if none helps."""
     elapsed = recording.elapsed
     if elapsed is None:
@@ -281,7 +151,7 @@ def _slower(recording: _Recording) -> str:
     return ""
 
 
-def _other_rates(recording: _Recording, found: Finding) -> dict[str, float]:
+def _other_rates(recording: Recording, found: Finding) -> dict[str, float]:
     """Return how far a recording misses the dynamics with other units of time."""
     if recording.elapsed is None:
         return {}
@@ -305,7 +175,7 @@ def _best(misfits: dict[str, float]) -> str:
     return "It fits " + ", or ".join(text for text, x in misfits.items() if x < least + ALIKE)
 
 
-def _misfit(recording: _Recording, column: int) -> float:
+def _misfit(recording: Recording, column: int) -> float:
     """Return the share of the motion of a component that is left unexplained.
 
     The share is infinite where the recording does not fit the dynamics.
@@ -342,5 +212,6 @@ def _text(
     return (
         f"does what the dynamics cannot: from row {found.first + 1}{at} to row {found.last + 1} "
         f"{name} changes by {found.moved:.3g}, where the dynamics change it by "
-        f"{found.predicted:.3g}, a residual of {residual:.3g}{worth}.{share} {cause or UNKNOWN}"
+        f"{found.predicted:.3g}, a residual of {residual:.3g}{worth}.{share} "
+        f"{cause or UNKNOWN + ('' if times is not None else UNTIMED)}"
     )

@@ -1,0 +1,43 @@
+"""Tell how long demonstrations may last, and in which unit the times are of one that is far off.
+
+The unit is the one by which the duration D comes nearest to what is expected, E, in decades:
+
+    min over units of |log10(D / E) - log10(units in a second)|.
+"""
+
+from __future__ import annotations
+
+import math
+
+MAX_HORIZONS = 1000.0
+"""Horizons that rows may rest after the end of an episode, and that a monitor waits for a state."""
+
+UNITS = {
+    "milliseconds": 1e3,
+    "microseconds": 1e6,
+    "nanoseconds": 1e9,
+    "minutes": 1 / 60,
+    "hours": 1 / 3600,
+}
+"""Units that times may be in where seconds are expected, and how many are a second."""
+
+FARTHEST = 1.5  # decades, between two units of the SI: no unit explains what is further off
+
+
+def is_too_long(duration: float, horizon: float) -> bool:
+    """Return whether a duration [s] is far too long for an episode of at most `horizon` seconds."""
+    return duration > MAX_HORIZONS * horizon
+
+
+def likely_unit(duration: float, expected: float) -> str:
+    """Return the unit in which a duration is about as expected [s]; '' for seconds, or for none."""
+    decades = math.log10(duration) - math.log10(expected)  # their ratio might overflow
+    away = {unit: abs(decades - math.log10(number)) for unit, number in UNITS.items()}
+    unit = min(away, key=lambda unit: away[unit])
+    return unit if away[unit] < min(abs(decades), FARTHEST) else ""
+
+
+def unit_hint(duration: float, expected: float) -> str:
+    """Return the end of a message, which names the likely unit; '' where there is none."""
+    unit = likely_unit(duration, expected)
+    return f". The times may be {unit}" if unit else ""

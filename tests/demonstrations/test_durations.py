@@ -1,0 +1,38 @@
+"""Durations that are far too long, and the units that explain them."""
+
+from __future__ import annotations
+
+import pytest
+
+from swerve.demonstrations.durations import is_too_long, likely_unit, unit_hint
+
+
+@pytest.mark.parametrize(
+    ("duration", "unit"),
+    [
+        (1e-300, ""),
+        (5 / 3600, "hours"),
+        (5 / 60, "minutes"),
+        (5 / 8, "minutes"),
+        (1.0, ""),
+        (5.0, ""),
+        (100.0, ""),
+        (200.0, "milliseconds"),
+        (5e3, "milliseconds"),
+        (1e5, "milliseconds"),
+        (5e6, "microseconds"),
+        (5e9, "nanoseconds"),
+        (1e11, "nanoseconds"),
+        (1e12, ""),
+        (1e308, ""),
+    ],
+)
+def test_the_unit_that_comes_nearest_to_five_seconds(duration: float, unit: str) -> None:
+
+    assert likely_unit(duration, 5.0) == unit
+    assert unit_hint(duration, 5.0) == (f". The times may be {unit}" if unit else "")
+
+
+def test_too_long_is_a_thousand_horizons() -> None:
+    assert not is_too_long(5000.0, 5.0)
+    assert is_too_long(5001.0, 5.0)
