@@ -38,3 +38,25 @@ def test_the_ends_of_texts_are_found(tmp_path: Path) -> None:
     assert list(store.read_json(path).values()) == texts
     with pytest.raises(ValueError, match="nested more than 100 deep"):
         json_text.check(b'["a\\\\", ' + b"[" * 200 + b', "b"')
+
+
+def test_what_could_not_be_read_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limits are those of reading, and the text is that of the file."""
+    monkeypatch.setattr(json_text, "MAX_ITEMS", 20)
+    for num, is_kept in ((5, True), (30, False)):
+        data = list(range(num))
+        for name, write in (
+            ("a.json", lambda path, data=data: store.write_json(path, data)),
+            ("a.stored", lambda path, data=data: store.write(path, "a", 1, {"data": data}, {})),
+        ):
+            path = tmp_path / f"{num}.{name}"
+            if is_kept:
+                write(path)
+            else:
+                with pytest.raises(ValueError, match="more than 20 brackets and commas"):
+                    write(path)
+            assert path.exists() == is_kept
+    assert store.read_json(tmp_path / "5.a.json") == [0, 1, 2, 3, 4]
+    assert store.open_file(tmp_path / "5.a.stored", "a", 1).header == {"data": [0, 1, 2, 3, 4]}

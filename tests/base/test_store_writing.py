@@ -179,5 +179,8 @@ def test_a_folder_of_others_is_named_with_what_to_do() -> None:
 
 
 def test_a_file_is_no_folder(path: Path) -> None:
-    with pytest.raises(FileExistsError, match=f"cannot write in {path}: File exists; choose a"):
+    message = f"cannot write in {{}}: {path} is a file, no folder; choose a folder"
+    with pytest.raises(FileExistsError, match=message.format(path)):
         files.check_writable(path)
+    with pytest.raises(NotADirectoryError, match=message.format(path / "a" / "b")):
+        files.check_writable(path / "a" / "b")

@@ -228,7 +228,9 @@ class TestBadInput:
             ("--seed", -1, "seed: expected a whole number from 0 to 4,294,967,295, got -1"),
             ("--solver", "grid?num_points", "expected name=value after '?'"),
             ("--report", ".", "is a folder; name a file"),
-            ("--report", "/proc/none/x.html", "cannot write in /proc/none"),
+            ("--report", "/proc/none/x.html", "error: cannot write in /proc/none"),
+            ("--work", __file__, f"error: cannot write in {__file__}: {__file__} is a file, no f"),
+            ("--resolve-seconds", "nan", "Invalid value for --resolve-seconds: expected a decimal"),
         ],
     )
     def test_options_are_refused_before_the_work(

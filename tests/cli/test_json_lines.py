@@ -91,7 +91,8 @@ def test_demonstrations_are_watched_side_by_side() -> None:
         ("[1.0]", r"expected 2 numbers, got \[1.0\]"),
         ('{"theta": 1.0}', "expected the states theta, x, got no x"),
         ('{"theta": "a", "x": 1.0}', r"expected numbers, got \['a', 1.0\]"),
-        ('{"theta": null, "x": 1.0}', "expected numbers"),
+        ('{"theta": null, "x": 1.0}', "expected numbers, got .*: theta is null; leave the line"),
+        ('{"end": true}', "no id: ended, but no state of it has come"),
         ('{"theta": true, "x": 1.0}', "expected numbers"),
         ('{"theta": 1.0, "x": 1.0, "t": "soon"}', "expected numbers"),
         ('{"theta": NaN, "x": 1.0}', "expected finite numbers, got theta = nan"),
@@ -232,4 +233,4 @@ def test_bad_options_are_refused_before_the_first_line() -> None:
 
 def test_an_unknown_id_is_refused_where_there_are_several_tasks() -> None:
     answer = make_watch(NAMED).answer(json.dumps(START))
-    assert answer["error"] == "id '': expected the id of one of 3 tasks, such as 'demo_0'"
+    assert answer["error"] == "no id: expected the id of one of 3 tasks, such as 'demo_0'"

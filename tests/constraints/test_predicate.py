@@ -6,6 +6,8 @@ import functools
 import math
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -72,6 +74,20 @@ class TestPredicate:
         message = rf"Predicate 'both': expected one boolean a state, shape \(5,\), got {got}"
         with pytest.raises(ValueError, match=message):
             Predicate("both", function).contains(np.zeros((5, 2)), PLANE)
+
+    def test_a_function_that_cannot_be_traced_is_told_by_its_line(self) -> None:
+        for function, advice in (
+            (lambda states: states[..., 0] > 0.0 or states[..., 1] > 0.0, "jnp.where, not if"),
+            (lambda states: np.sin(states[..., 0]) > 0.0, "jax.numpy, not NumPy"),
+        ):
+            disc, line = Predicate("disc", function), function.__code__.co_firstlineno
+            message = (
+                f"^Predicate 'disc': .* JAX can trace.*predicate.py, line {line}: use {advice}"
+            )
+            with pytest.raises(ValueError, match=message):
+                jax.eval_shape(lambda states, disc=disc: disc.contains(states, PLANE), jnp.ones(2))
+        with pytest.raises(ValueError, match=r"^Predicate 'or': .* use jnp.where, not if"):
+            Predicate("or", lambda s: s[..., 0] > 0.0 or False).contains(np.zeros((5, 2)), PLANE)
 
     def test_no_points_are_refused(self) -> None:
         with pytest.raises(ValueError, match=r"Predicate 'disc': num_points: .* >= 1, got 0"):

@@ -127,11 +127,11 @@ def test_a_file_that_ends_the_reader_is_refused_and_the_next_one_read(
     The true reader has the file before, and the file after.
     """
     good = save_parquet(tmp_path / "good.parquet", x=[1.0, 2.0], y=[0.0, 1.0])
-    bad = save(tmp_path / "bad.parquet", ROWS)
+    bad = save(tmp_path / "bad.parquet", f"PAR1 {ROWS} PAR1")
     read_one(good)
     source = parquet_format.CHILD.read_text()
     aborting = tmp_path / "aborting.py"
-    abort = 'if b"PAR1" not in content: __import__("os").abort()'
+    abort = 'if b"x,y" in content: __import__("os").abort()'
     aborting.write_text(source.replace("schema = pl", f"{abort}\n    schema = pl"))
     monkeypatch.setattr(parquet_format, "CHILD", aborting)
     parquet_format._end()

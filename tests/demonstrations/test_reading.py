@@ -137,7 +137,12 @@ class TestReadingFiles:
             ("x,y\n\n\n", "a header and no rows"),
             ("x,z\n1,2\n", r"no column y; expected x, y in a first line of names .* found x, z"),
             ("1,2\n3,4\n", r"no column x, y; .* found 1, 2"),
-            ("x;y\n1;2\n", r"no column x, y; .* separated by commas, found x;y"),
+            (
+                "x;y\n1;2\n",
+                r"no column x, y; .* separated by commas, found x;y; .* by semicolons: save",
+            ),
+            ("x\ty\n1\t2\n", "no column x, y; .* these are separated by tabs: save them"),
+            ("# x y\n1 2\n", "no column x, y; .* are separated by spaces: .* points in numbers$"),
             ("x,y,x,a,a\n1,2,3,4,5\n", "more than one column is named x, a; rename them"),
             ("x,y\n1,0\n", "expected at least 2 states, got 1"),
             ("x,y\n1,0\n2\n", r"row 2 \(line 3\): expected 2 cells as the header, got 1"),
@@ -174,7 +179,7 @@ class TestReadingFiles:
     @pytest.mark.parametrize(
         ("columns", "message"),
         [
-            ({"x": [1.0, 2.0]}, "no column y; expected x, y"),
+            ({"x": [1.0, 2.0]}, "no column y; expected x, y, found x$"),
             ({"x": [], "y": []}, "a header and no rows|column x: expected numbers, got Null"),
             ({"x": ["1", "2"], "y": [1, 2]}, "column x: expected numbers, got String values"),
             ({"x": [1.0, None], "y": [1, 2]}, "row 2, column x: expected a number, got null"),
@@ -194,6 +199,23 @@ class TestReadingFiles:
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"demo\.parquet: cannot be read as Parquet"):
             read_one(path)
+
+    def test_a_parquet_file_that_is_cut_short(self, tmp_path: Path) -> None:
+        path = tmp_path / "demo.parquet"
+        pl.DataFrame({"x": [1.0, 2.0], "y": [0.0, 1.0]}).write_parquet(path)
+        whole = path.read_bytes()
+        for size in (4, 10, len(whole) // 2, len(whole) - 1):
+            path.write_bytes(whole[:size])
+            message = f"Parquet: it is cut short, after {size} bytes, since Parquet ends with PAR1;"
+            with pytest.raises(ValueError, match=message):
+                read_one(path)
+        for content, message in (
+            (b"", "the file is empty;"),
+            (b"x,y", "does not begin with PAR1;"),
+        ):
+            path.write_bytes(content)
+            with pytest.raises(ValueError, match=f"{message} save it as Parquet, or name it .csv"):
+                read_one(path)
 
     def test_what_is_no_text(self, tmp_path: Path) -> None:
         path = tmp_path / "demo.csv"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -140,6 +141,45 @@ def test_methods_of_any_origin_are_cast() -> None:
 def test_what_is_no_real_number_is_refused_by_name(methods: dict, message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}"):
         Problem(made(**methods), ANGLES)
+
+
+def branching(self: MDP, state: Any, action: Any, next_state: Any, goal: Any) -> Any:
+    return -1.0 if state[0] > 0 else 0.0
+
+
+@pytest.mark.parametrize(
+    ("reward", "advice"),
+    [
+        (branching, r"use jnp\.where, not if, and &, \| and ~, not and, or and not"),
+        (lambda self, state, *_: 1.0 if state > 0 else 0.0, r"use jnp\.where, not if"),
+        (lambda self, state, *_: np.sin(state[0]), r"use jax\.numpy, not NumPy"),
+        (lambda self, state, *_: float(state[0]), r"use jax\.numpy, not float\(\), int"),
+        (
+            lambda self, state, *_: [1.0, 2.0][state[0].astype(int)],
+            r"use an array of jax\.numpy, not an index into a list",
+        ),
+        (
+            lambda self, state, *_: state[state > 0].sum(),
+            r"use jnp\.where, not an index of booleans",
+        ),
+    ],
+)
+def test_a_method_that_cannot_be_traced_is_told_by_its_line(reward: Any, advice: str) -> None:
+    line = reward.__code__.co_firstlineno + (reward is branching)
+    message = rf"^Given\.reward: expected a function that JAX can trace.*py, line {line}: {advice}"
+    with pytest.raises(ValueError, match=message):
+        Problem(made(reward=reward), ANGLES)
+
+
+@pytest.mark.parametrize("value", [-1e39, np.float64(1e39), np.full(2, 1e300)])
+def test_numbers_beyond_float32_are_told_without_a_warning_of_libraries(value: Any) -> None:
+    rewards = made(reward=lambda self, state, *_: jnp.where(state[0] > 0, np.sum(value), 0.0))
+    for mdp in (rewards, made(dynamics=lambda self, state, action: np.zeros(2) + value)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            with pytest.raises(ValueError, match="expected numbers that float32 holds,"):
+                Problem(mdp, ANGLES)
+        assert not caught
 
 
 def test_a_reward_in_brackets_is_refused_by_its_shape() -> None:

@@ -162,6 +162,10 @@ class TestLoadProblem:
                 "class Stub(swerve.MDP):\n    pass\nStub()",
                 r"robot\.py, line {}: TypeError: .* Stub .*dynamics",
             ),
+            (
+                "class Odd(type(problem.mdp)):\n    actions = ['go']\nswerve.Problem(Odd(), [])",
+                r"robot\.py, line {}: Odd\.actions: expected numbers, got \['go'\]",
+            ),
             ("swerve.Box(x=(1, 0))", r"robot\.py, line {}: Box: expected low < high"),
             ("def late():\n    return {{}}['a']\n", r"robot\.py, line {}: KeyError: 'a'"),
         ],

@@ -21,6 +21,7 @@ from support import workers
 from support.every_solver import GRID, TASK, TINY, push
 
 import swerve
+from swerve.problem.loading import load_problem
 
 EVIDENCE = workers.made(0)
 NOMINAL: Any = swerve.learn(push(), GRID)
@@ -170,6 +171,7 @@ class TestFork:
         problem, inference = NOMINAL.problem, swerve.infer(EVIDENCE)
         calls = [
             partial(push),
+            partial(load_problem, "pendulum"),
             partial(swerve.learn, problem, GRID),
             partial(swerve.sample, NOMINAL, TASK, 200),
             partial(swerve.sample, swerve.learn(problem, "enumeration"), TASK),

@@ -289,7 +289,10 @@ def _sync_folder(folder: Path) -> None:
 
 def _cannot_write(folder: Path, error: OSError, name: str = "") -> OSError:
     what = f"cannot write {name} in {folder}" if name else f"cannot write in {folder}"
+    reason = error.strerror
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        files = [path for path in (folder, *folder.parents) if path.exists() and not path.is_dir()]
+        reason = f"{files[0]} is a file, no folder" if files else reason
     return OSError(
-        error.errno,
-        f"{what}: {error.strerror}; choose a folder that you can write, with space left",
+        error.errno, f"{what}: {reason}; choose a folder that you can write, with space left"
     )

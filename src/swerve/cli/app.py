@@ -52,7 +52,10 @@ def main() -> None:
             _end_interrupted()
         if not isinstance(error, ValueError | OSError | ImportError):
             raise
-        say(f"swerve: error: {error}")
+        text = str(error)
+        if isinstance(error, OSError) and error.filename is None:
+            text = error.strerror or text  # without [Errno 13]
+        say(f"swerve: error: {text}")
         sys.exit(1)
     if is_asked():  # and code in between has caught the interrupt and gone on
         _end_interrupted()

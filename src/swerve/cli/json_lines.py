@@ -98,7 +98,9 @@ class Watch:
             raise ValueError(f"expected the states {', '.join(self._names)}, got no {missing[0]}")
         state, time = [data[key] for key in self._names], data.get("t")
         if not all(_is_number(value) for value in (*state, 0.0 if time is None else time)):
-            raise ValueError(f"expected numbers, got {_brief(state)} at t = {_brief(time)}")
+            null = [key for key in self._names if data[key] is None]
+            hint = f": {null[0]} is null; leave the line out if it was not measured" if null else ""
+            raise ValueError(f"expected numbers, got {_brief(state)} at t = {_brief(time)}{hint}")
         monitor = self._monitors.get(name) or self._new_monitor(self._task_of(name))
         belief = monitor.observe(state, time)
         self._monitors.pop(name, None)
@@ -117,8 +119,8 @@ class Watch:
             (task,) = tasks.values()
         if task is None:
             raise ValueError(
-                f"id {name!r}: expected the id of one of {len(tasks)} tasks, such as "
-                f"{next(iter(tasks))!r}"
+                f"{f'id {name!r}' if name else 'no id'}: expected the id of one of {len(tasks)} "
+                f"tasks, such as {next(iter(tasks))!r}"
             )
         return task
 
@@ -134,7 +136,9 @@ class Watch:
         has_state = any(state in data for state in self._names)
         last = self._observed(name, data) if has_state else {"struck_out": [], "flags": []}
         if name not in self._monitors:
-            raise ValueError(f"id {name!r}: ended, but no state of it has come")
+            raise ValueError(
+                f"{f'id {name!r}' if name else 'no id'}: ended, but no state of it has come"
+            )
         ended = _shown(self._monitors.pop(name).finish())
         ended["flags"] = list(dict.fromkeys([*last["flags"], *ended["flags"]]))
         ended["struck_out"] = last["struck_out"]

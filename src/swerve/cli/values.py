@@ -25,7 +25,13 @@ def convert_limit(kind: Any, tokens: Any) -> float:
     """Convert the text of an option that may be inf, for no limit."""
     del kind
     (token,) = tokens
-    return math.inf if token.value == "inf" else _convert_one(float, token.value)
+    if token.value == "inf":
+        return math.inf
+    try:
+        return _convert_one(float, token.value)
+    except CoercionError as error:
+        error.token = token  # for the name of the option in the message
+        raise
 
 
 def _convert_one(kind: Any, text: str) -> Any:

@@ -33,8 +33,8 @@ def watch(
 
     A line in is an object such as {"theta": 3.1, "omega": 0.2, "t": 0.05, "id": "a"}, or an array
     of the states; {"end": true, "id": "a"} ends a demonstration. A line that cannot be used is
-    answered with its error, and changes nothing. Before the first line, learns whatever the work
-    folder does not hold yet.
+    answered with its error, and changes nothing; a blank line is passed over.
+    Before the first line, learns whatever the work folder does not hold yet.
 
     Args:
       tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one row.

@@ -11,6 +11,7 @@ from typing import Any
 
 from swerve.base.arguments import whole_number
 from swerve.base.space import StateSpace, single, wide
+from swerve.base.user_code import untraceable
 from swerve.constraints.base import Constraint
 
 
@@ -52,7 +53,13 @@ class Predicate(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] lies in the set."""
-        inside = self.function(single(states))
+        try:
+            inside = self.function(single(states))
+        except Exception as error:
+            mended = untraceable(error)
+            if not mended:
+                raise
+            raise ValueError(f"Predicate {self.name!r}: {mended}") from error
         shape, kind = (
             getattr(inside, "shape", None),
             str(getattr(inside, "dtype", type(inside).__name__)),

@@ -51,7 +51,8 @@ def _read(
         raise ValueError(f"{path}: the file is empty; expected a header and rows of numbers")
     found = [cell.strip() for cell in header]
     found[0] = found[0].lstrip("#").strip()  # NumPy writes a header as a comment
-    names = select_columns(path, found, required, optional, label)
+    where = " in a first line of names separated by commas"
+    names = select_columns(path, found, required, optional, label, where)
     values, labels, part = array("d"), [], ""
     if label is None:
         columns, plain = [found.index(name) for name in names], _plain_rows(found, names)

@@ -26,6 +26,8 @@ from swerve.base.phrases import cut, shown
 from swerve.demonstrations.tables import Table, file_content, select_columns
 
 CHILD = Path(__file__).with_name("parquet_child.py")
+MARK = b"PAR1"  # the first and the last bytes
+LEAST = 12  # bytes of a file without rows or columns: two marks, and the length of the footer
 MAX_REASON = 200  # characters of polars' reason in a message
 
 _lock = threading.Lock()
@@ -59,6 +61,7 @@ def _decoded(path: Path, names: list[str], label: str | None) -> tuple[Any, np.n
       ValueError: if the file cannot be decoded.
     """
     content = file_content(path)
+    _check_marks(path, content)
     request = json.dumps({"size": len(content), "numbers": names, "label": label}).encode()
     with _lock:
         is_fresh = not _held()
@@ -76,6 +79,21 @@ def _decoded(path: Path, names: list[str], label: str | None) -> tuple[Any, np.n
         reason = cut(shown(answer["error"]), MAX_REASON)
         raise ValueError(f"{path}: cannot be read as Parquet: {reason}")
     return answer, np.ascontiguousarray(columns.T)
+
+
+def _check_marks(path: Path, content: bytes) -> None:
+    """Raise ValueError unless content begins and ends as Parquet does."""
+    if not content.startswith(MARK):
+        found = f"it does not begin with {MARK.decode()}" if content else "the file is empty"
+        raise ValueError(
+            f"{path}: cannot be read as Parquet: {found}; save it as Parquet, or name it .csv if "
+            "it is CSV"
+        )
+    if len(content) < LEAST or not content.endswith(MARK):
+        raise ValueError(
+            f"{path}: cannot be read as Parquet: it is cut short, after {len(content):,} bytes, "
+            f"since Parquet ends with {MARK.decode()}; copy it again from its source"
+        )
 
 
 def _ask(request: bytes, content: bytes) -> tuple[Any, np.ndarray] | None:

@@ -19,6 +19,7 @@ from swerve.base.phrases import cut, shown
 from swerve.demonstrations.headers import nearly
 
 MAX_FOUND = 500  # characters of the column names that a message lists
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 MAX_BYTES = 2**30  # bytes of a file of demonstrations or tasks: larger files are refused unread
 
 
@@ -50,15 +51,29 @@ def select_columns(
     required: Sequence[str],
     optional: Sequence[str],
     label: str | None,
+    where: str = "",
 ) -> list[str]:
-    """Return the names of the columns of numbers to read, after checking the columns found."""
+    """Return the names of the columns of numbers to read, after checking the columns found.
+
+    Args:
+      path: the file, for messages.
+      found: names of the file's columns.
+      required: columns of numbers that must be there.
+      optional: columns of numbers that may be there.
+      label: a column of text that must be there, or None.
+      where: where a file of its format has the names, in words that follow "expected x, y".
+
+    Raises:
+      ValueError: if a column is missing, or two columns have the same name.
+    """
     needed = [*([] if label is None else [label]), *required]
     missing = [name for name in needed if name not in found]
     if missing:
-        hint = rename_hint(missing, [name for name in found if name not in (*needed, *optional)])
+        others = [name for name in found if name not in (*needed, *optional)]
+        hint = _separator_hint(found, needed) or rename_hint(missing, others)
         raise ValueError(
-            f"{path}: no column {', '.join(missing)}; expected {', '.join(needed)} in a first "
-            f"line of names separated by commas, found {cut(', '.join(found), MAX_FOUND)}{hint}"
+            f"{path}: no column {', '.join(missing)}; expected {', '.join(needed)}{where}, found "
+            f"{cut(', '.join(found), MAX_FOUND)}{hint}"
         )
     twice = [name for name, count in Counter(found).items() if name and count > 1]
     if twice:
@@ -71,6 +86,15 @@ def rename_hint(missing: Sequence[str], others: Sequence[str]) -> str:
     """Return the end of an error about missing columns: others that may be meant; '' if none."""
     near = dict.fromkeys(other for name in missing for other in nearly(name, others))
     return f"; rename {', '.join(repr(shown(name)) for name in near)}?" if near else ""
+
+
+def _separator_hint(found: Sequence[str], needed: Sequence[str]) -> str:
+    """Return the end of an error about a header that other marks than commas separate, or ''."""
+    for mark, word in SEPARATORS.items():
+        names = [name.strip() for name in found[0].split(mark)]
+        if len(found) == 1 < len(names) and set(needed) & set(names):
+            return f"; these are separated by {word}: save them with commas, and points in numbers"
+    return ""
 
 
 def file_content(path: Path) -> bytes:

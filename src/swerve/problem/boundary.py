@@ -19,6 +19,7 @@ import numpy as np
 from jax.core import Tracer
 
 from swerve.base.space import Task
+from swerve.base.user_code import untraceable
 
 NUMBERS = ("dynamics", "reward", "terminal_reward", "features", "sample_state")
 FLAGS = ("terminated",)
@@ -46,7 +47,15 @@ def _wrapped(method: Any, name: str) -> Callable[..., Any]:
     @wraps(method)
     def wrapper(self: Any, *arguments: Any, **named: Any) -> Any:
         bound = method.__get__(self, type(self)) if hasattr(method, "__get__") else method
-        return cast(bound(*arguments, **named), f"{type(self).__name__}.{name}")
+        origin = f"{type(self).__name__}.{name}"
+        try:
+            value = bound(*arguments, **named)
+        except Exception as error:
+            mended = untraceable(error)
+            if not mended:
+                raise
+            raise BoundaryError(f"{origin}: {mended}") from error
+        return cast(value, origin)
 
     vars(wrapper)["_casts"] = True
     return wrapper

@@ -24,6 +24,7 @@ from weakref import WeakKeyDictionary
 from swerve.base import imports
 from swerve.base.files import open_regular
 from swerve.base.specification import Specification, build
+from swerve.problem.forked import check_process
 
 SHIPPED = {
     "car": "swerve.systems.car:car",
@@ -95,9 +96,11 @@ def load_problem(text: str) -> Any:
 
     Raises:
       ValueError: if the text names no object, or an object that is not a Problem.
+      RuntimeError: in a process that was forked after JAX had begun to run.
     """
     from swerve.problem.problem import Problem
 
+    check_process()
     specification = Specification.parse(text)
     target = SHIPPED.get(specification.target, specification.target)
     path, colon, name = target.rpartition(":")
@@ -217,7 +220,8 @@ def _user_code() -> Iterator[None]:
             lines.append(f"{error.filename}, line {error.lineno}")
         if not lines:
             raise
-        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        is_plain = type(error) is ValueError or type(error).__module__.startswith("swerve.")
+        kind = "" if is_plain else f"{type(error).__name__}: "
         text = error.msg if isinstance(error, SyntaxError) else error
         raise ValueError(f"{lines[-1]}: {kind}{text}") from error
 
