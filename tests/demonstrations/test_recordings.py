@@ -32,6 +32,15 @@ def error_of(path: Path, times: np.ndarray, **others: np.ndarray | list) -> str:
 ONE = np.arange(20) / 10
 
 
+def test_times_since_1970_whose_last_digits_are_cut(tmp_path: Path) -> None:
+    for times in (1.7e9 + np.floor(ONE), 1.7e12 + 100.0 * np.floor(10.0 * ONE / 2.0)):
+        text = error_of(tmp_path / "a.csv", times)
+        assert "times since 1970 with too few digits? Save them with all digits, or as" in text
+        assert "several recordings" not in text
+    back = np.concatenate([1.7e9 + ONE, 1.7e9 + ONE])
+    assert "several recordings in one file?" in error_of(tmp_path / "a.csv", back)
+
+
 @pytest.mark.parametrize(
     "times",
     [
@@ -107,7 +116,18 @@ def written(path: Path, **columns: np.ndarray | list) -> Path:
 
 
 NAMES = ("episode_index", "episode", "traj", "trajectory", "track_id", "agent", "robot", "id")
-NAMES = (*NAMES, "run", "demo", "Trial No", "run#", "trajectoryId", "recording-number", "persons")
+NAMES = (
+    *NAMES,
+    "run",
+    "demo",
+    "Trial No",
+    "run#",
+    "trajectoryId",
+    "recording-number",
+    "persons",
+    "ep_idx",
+    "seq",
+)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.monitors import START, make_monitor
+from support.monitors import START, Known, make_monitor
+from support.motions import cart_motion, cart_record, drive
 from support.synthetic import TASKS, make_evidence, make_record
 
-from swerve import Box
+from swerve import Box, Monitor, Task
 from swerve.base.space import TWO_PI
 from swerve.evidence.evidence import Evidence
 
@@ -45,6 +46,7 @@ def test_odd_states_are_flagged_and_the_monitor_goes_on() -> None:
     assert monitor.observe([theta + TWO_PI, 10.0], 0.6).flags == ("past the horizon",)
 
 
+UNTIMED = "no times: another rate than the model's?"
 OTHER_UNIT = "times of another unit, such as milliseconds"
 
 
@@ -73,6 +75,21 @@ def test_gaps_after_steps_of_the_model_are_no_other_unit() -> None:
     monitor.observe(START, 0.0)
     assert monitor.observe(START, 0.4).flags == ("gap",)
     assert monitor.observe(START, 100.0).flags == ("gap", "past the horizon")
+
+
+@pytest.mark.parametrize("rate", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("is_timed", [True, False])
+def test_states_without_times_at_another_rate_are_flagged(rate: float, is_timed: bool) -> None:
+    item = drive(rate)
+    evidence = make_evidence(cart_record(), tasks=Task(*(part[None] for part in item.task)))
+    evidence = dataclasses.replace(evidence, motion=cart_motion())
+    monitor, found = Monitor(evidence, item.task, Known(evidence)), set()
+    assert item.times is not None
+    for state, time in zip(item.states, item.times.tolist(), strict=True):
+        flags = monitor.observe(state, time if is_timed else None).flags
+        assert ("against the dynamics" in flags) == (flags[-1:] == (UNTIMED,))
+        found |= set(flags)
+    assert (UNTIMED in found) == (not is_timed and rate != 1.0)
 
 
 def test_a_known_constraint_is_flagged() -> None:

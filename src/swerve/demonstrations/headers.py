@@ -24,8 +24,9 @@ ALIKE = 0.75  # share of the letters that a misspelt name has in common with the
 LEAST_LETTERS = 3  # of a name: shorter names are like many others
 MOST_SECONDS = 1e11  # since 1970 this is the year 5138: larger numbers are of another unit
 RECORDING = re.compile(
-    r"(?:(?:episode|traj(?:ectory)?|track|agent|robot|run|demo(?:nstration)?|recording|trial|rollout"
-    r"|file|sequence|session|subject|participant|person|ped(?:estrian)?|driver|vehicle)s?"
+    r"(?:(?:ep(?:isode)?|traj(?:ectory)?|track|agent|robot|run|demo(?:nstration)?|recording|trial"
+    r"|rollout|file|seq(?:uence)?|session|scenario|scene|subject|participant|person|human|user"
+    r"|player|ped(?:estrian)?|driver|vehicle|object)s?"
     r"(?:[ _.-]*(?:ids?|idx|index|num(?:ber)?|no|nr|name))?|ids?|uuid)#?",
     re.IGNORECASE,
 )

@@ -33,6 +33,7 @@ OVERTIME = "past the horizon"
 SHORT = "cut short"
 KNOWN = "in a known constraint"
 AGAINST = "against the dynamics"
+UNTIMED = "no times: another rate than the model's?"
 
 
 class StateChecks:

@@ -29,12 +29,12 @@ import numpy as np
 from swerve.base.arguments import instance, number_or_nan
 from swerve.base.space import Task
 from swerve.demonstrations.checks import unit_problem
-from swerve.demonstrations.durations import is_too_long, unit_hint
+from swerve.demonstrations.durations import first_time_hint, is_too_long, unit_hint
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.stepwise import stepwise
 from swerve.inference import likelihood
 from swerve.inference.posterior import Prior, checked_prior, posterior
-from swerve.monitoring.flags import LATE, REPEATED, StateChecks
+from swerve.monitoring.flags import AGAINST, LATE, REPEATED, UNTIMED, StateChecks
 from swerve.monitoring.foresight import Foreseer
 from swerve.problem.record import ProblemRecord
 
@@ -142,8 +142,8 @@ class Monitor:
           or in a known constraint; the state cannot be reached from the last state in the time
           between them; the state repeats the last state (which changes nothing) or contradicts it;
           more than a step and a half lies between the two states; the times seem to be of another
-          unit, since all states so far are that far apart; or the state is later than the model's
-          horizon.
+          unit, since all states so far are far apart; the state is later than the model's horizon;
+          or the states move against the dynamics, perhaps at another rate if they have no times.
 
         Raises:
           ValueError: if the state is not n finite numbers, or is so far outside the bounds that its
@@ -160,6 +160,7 @@ class Monitor:
             flags = self._checks.of_first(values, now)
         else:
             flags = self._checks.of_next(values, now, self._state, self._time)
+        flags += (UNTIMED,) * (time is None and AGAINST in flags)
         entered = self._steps.enter(values)  # nothing has changed if this or an earlier line fails
         self._array[:] = values
         self._state, self._time, self._last = values, now, None
@@ -315,9 +316,10 @@ class Monitor:
         elapsed = now - self._time if self._state else now
         is_late = self._problem.is_timed and is_too_long(elapsed, horizon)
         if is_late or now >= MAX_HORIZONS * horizon:
+            hint = unit_hint if self._state else first_time_hint
             raise ValueError(
                 f"time: expected seconds since the start of the task, got {now:g} s, where the "
-                f"horizon is {horizon:g} s; this state is ignored{unit_hint(elapsed, horizon)}"
+                f"horizon is {horizon:g} s; this state is ignored{hint(elapsed, horizon)}"
             )
         if self._state and now < self._time:
             raise ValueError(
