@@ -23,14 +23,17 @@ def test_learn_and_sample_ahead_then_infer(
     status, out, said = run("sample", robot, "--work", work, "--tasks", tasks, "--samples", 500)
     assert status == 0
     assert "warning" not in said
+    assert "in 20 parts" not in said
     assert out.startswith("4 tasks, 500 trajectories a task from Grid(")
     assert "spread  start -> goal" in out
     status, out, _ = run("sample", robot, "--work", work, "--tasks", tasks, "--json")
     assert status == 0
     assert {"distinct_share", "island_spread", "verdict"} <= json.loads(out)["tasks"][0].keys()
-    few = ("--samples", 60, "--work", work, "--tasks", tasks)
-    status, _, said = run("sample", robot, *few)
+    few = ("--samples", 50, "--work", work, "--tasks", tasks)
+    status, out, said = run("sample", robot, *few)
     assert status == 0
+    assert "smc takes 60 trajectories a task, in 20 parts" in said
+    assert out.startswith("4 tasks, 60 trajectories a task from Grid(")
     assert "warning: not to be trusted: the effective sample size is too low" in said
     before = {path: path.stat().st_mtime_ns for path in work.iterdir()}
     assert run(*infer(robot, demonstrations, work))[0] == 0

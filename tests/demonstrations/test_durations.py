@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from swerve.demonstrations.durations import is_too_long, likely_unit, unit_hint
+from swerve.demonstrations.durations import (
+    first_time_hint,
+    is_since_1970,
+    is_too_long,
+    likely_unit,
+    unit_hint,
+)
 
 
 @pytest.mark.parametrize(
@@ -36,3 +42,13 @@ def test_the_unit_that_comes_nearest_to_five_seconds(duration: float, unit: str)
 def test_too_long_is_a_thousand_horizons() -> None:
     assert not is_too_long(5000.0, 5.0)
     assert is_too_long(5001.0, 5.0)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+def test_times_of_a_clock_are_no_unit_of_durations(unit: float) -> None:
+    assert is_since_1970(1.7e9 * unit)
+    assert not is_since_1970(9e8 * unit)
+    assert not is_since_1970(5e9 * unit)
+    hint = ". These may be times since 1970: subtract the time of the first state"
+    assert first_time_hint(1.7e9 * unit, 5.0) == hint
+    assert first_time_hint(5e3, 5.0) == ". The times may be milliseconds"

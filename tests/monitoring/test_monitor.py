@@ -210,6 +210,13 @@ def test_a_bad_time_changes_nothing(time, message: str) -> None:
     assert monitor.observe(START, 0.2).flags == ("repeated",)
 
 
+def test_the_time_of_a_clock_is_told_at_the_first_state() -> None:
+    monitor = make_monitor()
+    with pytest.raises(ValueError, match=r"These may be times since 1970: subtract the time of th"):
+        monitor.observe(START, 1.7e9)
+    assert monitor.observe(START, 0.0).flags == ()
+
+
 def test_a_monitor_may_go_on_for_long_after_the_end() -> None:
     """As long as states come: only between two of them there are at most 1000 horizons."""
     monitor = make_monitor()

@@ -43,7 +43,10 @@ SolverName = Annotated[
 ]
 NumSamples = Annotated[
     int | None,
-    Parameter(help="Trajectories for each task, for solvers that are sampled. [default: 10000]"),
+    Parameter(
+        help="Trajectories for each task, for solvers that are sampled; smc rounds it up to a "
+        "multiple of 20. [default: 10000]"
+    ),
 ]
 Method = Annotated[
     str | None,

@@ -16,6 +16,7 @@ import numpy as np
 from swerve.base.arguments import real_numbers
 from swerve.base.phrases import told_apart
 from swerve.base.space import MAX_HALF_EXTENTS, MAX_TURNS, TWO_PI, StateSpace, Task, Transitions
+from swerve.demonstrations.durations import is_since_1970
 
 START_TOLERANCE = 1e-3
 """Largest distance of a first state from the start of its task, and of a start or a goal from the
@@ -167,6 +168,11 @@ def _order_advice(times: np.ndarray) -> str:
     back, usual = -changes[changes < 0.0], np.median(np.abs(changes))
     is_mixed = np.count_nonzero(changes == 0.0) > MANY_TWICE * len(times)
     is_joined = 0 < len(back) <= FEW_RETURNS * len(times) and back.min() > FAR_BACK * usual
+    if is_mixed and not len(back) and is_since_1970(times[0]):
+        return (
+            "times since 1970 with too few digits? Save them with all digits, or as seconds since "
+            "the first row"
+        )
     if is_mixed or is_joined:
         return f"{SPLIT[0].lower()}{SPLIT[1:]}; to sort the rows would mix the recordings"
     return "sort the rows, or remove those recorded twice"

@@ -24,6 +24,15 @@ UNITS = {
 FARTHEST = 1.5  # decades, between two units of the SI: no unit explains what is further off
 
 
+FIRST_CLOCK, LAST_CLOCK = 1e9, 4e9  # s since 1970: from 2001 to 2096
+
+
+def is_since_1970(time: float) -> bool:
+    """Return whether a time may be one of a computer's clock, in seconds or a smaller unit."""
+    units = (1.0, *(number for number in UNITS.values() if number > 1.0))
+    return any(FIRST_CLOCK <= time / number <= LAST_CLOCK for number in units)
+
+
 def is_too_long(duration: float, horizon: float) -> bool:
     """Return whether a duration [s] is far too long for an episode of at most `horizon` seconds."""
     return duration > MAX_HORIZONS * horizon
@@ -41,3 +50,10 @@ def unit_hint(duration: float, expected: float) -> str:
     """Return the end of a message, which names the likely unit; '' where there is none."""
     unit = likely_unit(duration, expected)
     return f". The times may be {unit}" if unit else ""
+
+
+def first_time_hint(time: float, horizon: float) -> str:
+    """Return the end of a message about a first time that is far too late: its clock, or unit."""
+    if is_since_1970(time):
+        return ". These may be times since 1970: subtract the time of the first state"
+    return unit_hint(time, horizon)

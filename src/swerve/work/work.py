@@ -22,7 +22,7 @@ from swerve.base.phrases import counted, duration, some_names
 from swerve.base.solver_kinds import kind_named
 from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
-from swerve.evidence.samples import REWEIGHED
+from swerve.evidence.samples import NUM_ISLANDS, RESAMPLED, REWEIGHED
 from swerve.inference.unresolved import worth_resolving
 from swerve.work.folder import WorkFolder, missing_rows
 from swerve.work.settings import Settings
@@ -254,6 +254,7 @@ class Work:
         Finished tasks are saved every SAVE_INTERVAL, and at the end or an interruption.
         """
         from swerve.problem.tasks import checked_tasks
+        from swerve.sampling.one_task import whole_islands
         from swerve.sampling.sample import sample_each
 
         settings = self.settings
@@ -261,6 +262,9 @@ class Work:
         assert settings.method is not None
         assert settings.seed is not None
         checked_tasks(self.problem, tasks)  # before learning, which may take minutes
+        num = math.prod(whole_islands(settings.num_trajectories))
+        if settings.method in RESAMPLED and num > settings.num_trajectories:
+            self.say(f"{settings.method} takes {num:,} trajectories a task, in {NUM_ISLANDS} parts")
         found = [] if known is None else [known]
         num_saved, saved_at = len(found), time.monotonic()
         try:
