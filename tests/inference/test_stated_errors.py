@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.small_mdps import Stroll
 from support.synthetic import evidence_of_columns, make_demonstration, make_evidence
 
-from swerve import MDP, Box, Evidence, Problem, Task, best_pair, greedy, grid, infer, learn, sample
+from swerve import Box, Evidence, Problem, Task, best_pair, greedy, grid, infer, learn, sample
 from swerve.evidence.samples import NUM_ISLANDS
 from swerve.solvers.base import Nominal
 
@@ -18,26 +18,9 @@ CELLS = grid(x=(0.0, 10.0, 10))
 NUM_SEEDS = 50
 
 
-class Walk(MDP):
-    """Steps to the left and to the right, the longer ones at a cost."""
-
-    state_names = ("x",)
-    action_names = ("dx",)
-    actions = jnp.array([[-0.53], [0.0], [0.61]])
-    bounds = ((-5.0, 5.0),)
-    dt = 1.0
-    num_steps = 6
-
-    def dynamics(self, state, action):
-        return state + action
-
-    def reward(self, state, action, next_state, goal):
-        return -0.3 * action[0] ** 2
-
-
 @pytest.fixture(scope="module")
 def walk() -> Nominal:
-    return learn(Problem(Walk(), [Box(x=(0.7, 5.0)), Box(x=(-5.0, -1.1))]), "grid?num_points=31")
+    return learn(Problem(Stroll(), [Box(x=(0.8, 4.0)), Box(x=(-4.0, -0.9))]), "grid?num_points=31")
 
 
 def copied(seed: int, num_copies: int) -> Evidence:

@@ -120,7 +120,7 @@ MUTANTS = (
     Mutant(
         "forget the errors of ratios worked out with the constraint in force",
         "inference/posterior.py",
-        "error = np.hypot(island_error, _propagated_error(value, own**2))",
+        "error = np.hypot(island_error, _propagated_error(value, own, _sharing(evidence)))",
         "error = island_error",
         "inference/test_posterior",
     ),

@@ -39,3 +39,24 @@ class Height(Bare):
 
     def goal_of(self, states):
         return states[-1:, 1]
+
+
+class Stroll(MDP):
+    """Steps to the left and to the right, the longer ones at a cost; `pull` draws to the goal."""
+
+    pull: float = 0.0
+    state_names = ("x",)
+    action_names = ("dx",)
+    actions = jnp.array([[-0.42], [0.0], [0.57]])
+    bounds = ((-4.0, 4.0),)
+    dt = 1.0
+    num_steps = 6
+
+    def dynamics(self, state, action):
+        return state + action
+
+    def reward(self, state, action, next_state, goal):
+        return -0.4 * action[0] ** 2
+
+    def terminal_reward(self, state, goal):
+        return -self.pull * (state[0] - goal[0]) ** 2

@@ -19,6 +19,7 @@ import numpy as np
 from swerve.base.arguments import number_or_nan
 from swerve.evidence.estimators import joint_error
 from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.same import same_as
 from swerve.inference import likelihood
 from swerve.inference.scores import Scores
 
@@ -178,7 +179,8 @@ def of_scores(scores: Scores) -> Posterior:
     Without demonstrations the posterior is the prior. Standard errors come from leaving out one
     island of the samples after another, for all tasks at once. Ratios that were sampled with the
     constraint in force contribute the error of Z_c of their own, and share the error of Z_0, which
-    the islands tell. Bounds contribute their own errors.
+    the islands tell. Bounds contribute their own errors. Hypotheses that are the same set share one
+    error.
     """
     evidence = scores.evidence
     if not scores.demonstrations:
@@ -207,7 +209,7 @@ def of_scores(scores: Scores) -> Posterior:
     variance = np.maximum(evidence.standard_error[tasks] ** 2 - of_partition**2, 0.0)
     own = scores.sensitivity[tasks] * np.sqrt(np.where(has_own_error, variance, 0.0))
     own = joint_error(own, evidence.sample_of[tasks])
-    error = np.hypot(island_error, _propagated_error(value, own**2))
+    error = np.hypot(island_error, _propagated_error(value, own, _sharing(evidence)))
     return Posterior(float(value[0]), float(error[0]), value[1:], error[1:])
 
 
@@ -224,17 +226,31 @@ def _gained_without_islands(evidence: Evidence) -> np.ndarray:
     return np.log(mean) - np.log(np.maximum(others, evidence.resolution * mean))
 
 
-def _propagated_error(value: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def _sharing(evidence: Evidence) -> np.ndarray:
+    """Return for each hypothesis the first one [H] that has the same error of its own.
+
+    Hypotheses that are the same set have the same ratio, and so the same error. Earlier versions
+    resolved each by random numbers of its own: then the ratios differ.
+    """
+    first = same_as(evidence.problem.hypotheses, evidence.problem.space)
+    differs = (evidence.log_ratio != evidence.log_ratio[:, first]).any(axis=0)
+    return np.where(differs, np.arange(len(first)), first)
+
+
+def _propagated_error(value: np.ndarray, error: np.ndarray, shared: np.ndarray) -> np.ndarray:
     """Return the standard errors [H + 1] of a posterior from log-likelihoods (delta method).
 
         d p_j / d log L_h = p_j (1[j = h] - p_h)
 
     Args:
       value: [H + 1] the posterior.
-      variance: [H] variances of the log-likelihoods, which are independent.
+      error: [H] standard errors of the log-likelihoods.
+      shared: [H] the first hypothesis whose error is the same; other errors are independent.
     """
-    own = np.concatenate([[0.0], variance])
-    return value * np.sqrt(np.sum(value**2 * own) + own * (1.0 - 2.0 * value))
+    own, group = np.concatenate([[0.0], error]), np.concatenate([[0], shared + 1])
+    together = np.bincount(group, value * own, minlength=len(value))  # sum_h p_h e_h of a group
+    others = np.maximum(np.sum(together**2) - together[group] ** 2, 0.0)
+    return value * np.sqrt(others + (own - together[group]) ** 2)
 
 
 def least_tolerance(scores: Scores) -> float | None:

@@ -8,7 +8,8 @@ with the adapted soft value gives Z_c, however small:
     log(Z_c / Z_0) = log Z_c - log Z_0.
 
 Only hypotheses that can change the answer are resolved (`worth_resolving`), in the tasks of the
-demonstrations: the best first, as far as the time goes.
+demonstrations: the best first, as far as the time goes. Hypotheses that are the same set share one
+estimate.
 
 Shapes: K tasks, H hypotheses, I islands.
 """
@@ -28,6 +29,7 @@ from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
 from swerve.evidence.estimators import NothingLeftError
 from swerve.evidence.evidence import Evidence
+from swerve.hypotheses.same import same_as
 from swerve.inference.ranking import Ranking
 from swerve.inference.scores import SETTLED
 from swerve.inference.unresolved import worth_resolving
@@ -76,21 +78,22 @@ def resolve(
         number above 0.
     """
     check_process()
-    evidence = inference.evidence
+    evidence, problem = inference.evidence, inference.evidence.problem
     _check(nominal, evidence)
     if not number_or_nan(seconds) > 0.0:
         raise ValueError(f"seconds: expected a number of seconds > 0, got {seconds!r}")
     seed, deadline = seed_number(seed), monotonic() + seconds
-    hypotheses = worth_resolving(inference).tolist()
-    with progress_bar("resolving", len(hypotheses), progress) as advance:
-        for index in hypotheses:
-            if monotonic() >= deadline:
-                break
-            advance(0, note=f"hypothesis {index}")
-            tasks = np.flatnonzero(inference.is_open[:, index]).tolist()
-            evidence = _resolved(nominal, evidence, index, tasks, seed, deadline)
+    left, first = worth_resolving(inference), same_as(problem.hypotheses, problem.space)
+    with progress_bar("resolving", len(left), progress) as advance:
+        while len(left) and monotonic() < deadline:
+            is_open = inference.is_open[:, left[0]]
+            alike = first == first[left[0]]  # the same set: one estimate, and one error, for all
+            alike &= (inference.is_open == is_open[:, None]).all(axis=0)
+            advance(0, note=f"hypothesis {left[0]}")
+            evidence = _resolved(nominal, evidence, alike, is_open, seed, deadline)
             keep(evidence)
-            advance(1)
+            advance(int(np.count_nonzero(alike[left])))
+            left = left[~alike[left]]
     return evidence
 
 
@@ -110,11 +113,26 @@ def _check(nominal: Nominal, evidence: Evidence) -> None:
 
 
 def _resolved(
-    nominal: Nominal, evidence: Evidence, index: int, tasks: list[int], seed: int, deadline: float
+    nominal: Nominal,
+    evidence: Evidence,
+    alike: np.ndarray,
+    is_open: np.ndarray,
+    seed: int,
+    deadline: float,
 ) -> Evidence:
-    """Return evidence with the ratio of one hypothesis, in the tasks in which the ratio settles."""
-    chosen = evidence.select(tasks)
-    log_ratio, error = _ratio(nominal, chosen, index, seed, deadline)
+    """Return evidence with the ratio of a hypothesis, in the tasks in which the ratio settles.
+
+    Args:
+      nominal: the nominal distribution.
+      evidence: evidence with the ratio open.
+      alike: [H] True for the hypothesis, and for others that are the same set.
+      is_open: [K] True for the tasks in which the ratio is open.
+      seed: seed of everything random.
+      deadline: time of the monotonic clock [s] after which no estimate begins.
+    """
+    hypotheses, tasks = np.flatnonzero(alike), np.flatnonzero(is_open)
+    chosen = evidence.select(tasks.tolist())
+    log_ratio, error = _ratio(nominal, chosen, int(hypotheses[0]), seed, deadline)
     settled = np.isfinite(error)
     columns = {
         "avoid_probability": np.exp(log_ratio),
@@ -124,8 +142,8 @@ def _resolved(
     }
     changed = {name: getattr(evidence.summary, name).copy() for name in columns}
     for name, values in columns.items():
-        changed[name][np.array(tasks)[settled], index] = values[settled]
-    changed["log_ratio_error"][tasks, index] = error
+        changed[name][np.ix_(tasks[settled], hypotheses)] = values[settled, None]
+    changed["log_ratio_error"][np.ix_(tasks, hypotheses)] = error[:, None]
     return dataclasses.replace(evidence, summary=evidence.summary._replace(**changed))
 
 
@@ -142,7 +160,7 @@ def _ratio(
     constraint = problem.hypotheses.constraint(index)
     narrower = dataclasses.replace(problem, known=[*problem.known, constraint])
     log_ratio, error = np.zeros(evidence.num_tasks), np.full(evidence.num_tasks, np.inf)
-    # errors of hypotheses count as independent, so none has the random numbers of another
+    # errors of sets that differ count as independent, so none has the random numbers of another
     own_seed = int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
     has_begun = False  # the first estimate is made however late it is
     for adapted in solver.adapted(nominal, narrower, seed):

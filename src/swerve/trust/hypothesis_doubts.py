@@ -8,24 +8,19 @@ Shapes: H hypotheses.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from swerve.base.phrases import some_names
-from swerve.base.space import TWO_PI, StateSpace, is_full_turn
+from swerve.base.space import StateSpace
 from swerve.constraints.base import Constraint
-from swerve.constraints.boxes import Box
-from swerve.constraints.predicate import Predicate
 from swerve.constraints.shapes import HalfSpace
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import BoxHypotheses
-
-DIGITS = 9  # significant digits in which two numbers must agree to count as the same
+from swerve.hypotheses.same import same_as
 
 
 def hypothesis_warnings(hypotheses: HypothesisSet, space: StateSpace) -> Iterator[str]:
@@ -41,10 +36,9 @@ def hypothesis_warnings(hypotheses: HypothesisSet, space: StateSpace) -> Iterato
 
 def _same(hypotheses: ConstraintHypotheses, space: StateSpace) -> Iterator[str]:
     """Yield a warning for each group of hypotheses that are the same set."""
-    groups: dict[Any, list[int]] = {}
-    for index, constraint in enumerate(hypotheses.constraints):
-        key = frozenset(_key(part, space) for part in constraint.parts)
-        groups.setdefault(key, []).append(index)
+    groups: dict[int, list[int]] = {}
+    for index, first in enumerate(same_as(hypotheses, space).tolist()):
+        groups.setdefault(first, []).append(index)
     for group in groups.values():
         if len(group) > 1:
             names = some_names([str(index) for index in group])
@@ -52,37 +46,6 @@ def _same(hypotheses: ConstraintHypotheses, space: StateSpace) -> Iterator[str]:
                 f"hypotheses {names} are the same set ({hypotheses.name(group[0])}), each with a "
                 f"share of the prior: together they count {len(group)} times. Keep one of them"
             )
-
-
-def _key(constraint: Constraint, space: StateSpace) -> Any:
-    """Return a key that is the same for constraints that are the same set."""
-    if isinstance(constraint, Box):
-        return ("box", *sorted(filter(None, _sides(constraint, space))))
-    if isinstance(constraint, Predicate):
-        return ("predicate", id(constraint.function), constraint.num_points)
-    return json.dumps(_rounded(constraint.to_json()), sort_keys=True)
-
-
-def _sides(box: Box, space: StateSpace) -> Iterator[tuple[Any, ...] | None]:
-    """Yield the sides of a box that limit it; angles as if they began in [0, 2 pi)."""
-    for name, (low, high) in box.intervals.items():
-        is_angle = name in space.angles
-        if np.isinf([low, high]).all() or (is_angle and is_full_turn(low, high)):
-            continue
-        if not is_angle:
-            yield name, _rounded(float(low)), _rounded(float(high))
-            continue
-        begin = round(low % TWO_PI, DIGITS) % round(TWO_PI, DIGITS)
-        yield name, begin, round(high - low, DIGITS)
-
-
-def _rounded(value: Any) -> Any:
-    """Return JSON data with numbers of DIGITS significant digits."""
-    if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return float(f"{value:.{DIGITS - 1}e}") + 0.0 if isinstance(value, float | int) else value
 
 
 def _outside(

@@ -24,6 +24,7 @@ from swerve.base.solver_kinds import kind_stored, solver_names
 from swerve.evidence.estimators import HOTTEST, LOW_ESS
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import TEMPERED
+from swerve.hypotheses.same import same_as
 from swerve.inference.ranking import TIE_ERRORS, Ranking
 from swerve.trust.sample_checks import HIGH_KL, HIGH_MISSED, Checks, sample_checks
 
@@ -117,8 +118,8 @@ def _samples_needed(inference: Ranking, tasks: Sequence[int]) -> np.ndarray:
     """Return N_k [M, G] of the module's formula for each gap between the first hypotheses.
 
     N_k is infinite where a score rests on a number that more samples do not change. N_k is 0 for
-    hypotheses that explain nothing within the errors, or are far behind the first hypothesis: these
-    need no order.
+    hypotheses that explain nothing within the errors, are far behind the first hypothesis, or are
+    the same set as the next: these need no order.
 
     Args:
       inference: a ranking by sampled evidence.
@@ -137,6 +138,8 @@ def _samples_needed(inference: Ranking, tasks: Sequence[int]) -> np.ndarray:
     if inference.score_name == "likelihood":
         doubt = TIE_ERRORS * (inference.score_error[first[:1]] + inference.score_error[first[:-1]])
         needs_none |= score[:1] - score[:-1] - doubt > FAR_BEHIND
+    alike = same_as(evidence.problem.hypotheses, evidence.problem.space)[first]
+    needs_none |= alike[:-1] == alike[1:]
     share[needs_none] = 0.0
     is_fixed = (evidence.is_resolved | evidence.is_floored)[:, first][tasks].T
     share[(share > 1.0) & (is_fixed[1:] | is_fixed[:-1])] = np.inf

@@ -1,0 +1,66 @@
+"""Tell which hypotheses are the same set, whatever they are called.
+
+Shapes: H hypotheses.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from swerve.base.space import TWO_PI, StateSpace, is_full_turn
+from swerve.constraints.base import Constraint
+from swerve.constraints.boxes import Box
+from swerve.constraints.predicate import Predicate
+from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
+
+DIGITS = 9  # significant digits in which two numbers must agree to count as the same
+
+
+def same_as(hypotheses: HypothesisSet, space: StateSpace) -> np.ndarray:
+    """Return for each hypothesis the index [H] of the first hypothesis that is the same set.
+
+    The cells of a grid, and windows, all differ.
+    """
+    if not isinstance(hypotheses, ConstraintHypotheses):
+        return np.arange(len(hypotheses))
+    first: dict[Any, int] = {}
+    keys = (
+        frozenset(_key(part, space) for part in constraint.parts)
+        for constraint in hypotheses.constraints
+    )
+    return np.array([first.setdefault(key, index) for index, key in enumerate(keys)])
+
+
+def _key(constraint: Constraint, space: StateSpace) -> Any:
+    """Return a key that is the same for constraints that are the same set."""
+    if isinstance(constraint, Box):
+        return ("box", *sorted(filter(None, _sides(constraint, space))))
+    if isinstance(constraint, Predicate):
+        return ("predicate", id(constraint.function), constraint.num_points)
+    return json.dumps(_rounded(constraint.to_json()), sort_keys=True)
+
+
+def _sides(box: Box, space: StateSpace) -> Iterator[tuple[Any, ...] | None]:
+    """Yield the sides of a box that limit it; angles as if they began in [0, 2 pi)."""
+    for name, (low, high) in box.intervals.items():
+        is_angle = name in space.angles
+        if np.isinf([low, high]).all() or (is_angle and is_full_turn(low, high)):
+            continue
+        if not is_angle:
+            yield name, _rounded(float(low)), _rounded(float(high))
+            continue
+        begin = round(low % TWO_PI, DIGITS) % round(TWO_PI, DIGITS)
+        yield name, begin, round(high - low, DIGITS)
+
+
+def _rounded(value: Any) -> Any:
+    """Return JSON data with numbers of DIGITS significant digits."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.{DIGITS - 1}e}") + 0.0 if isinstance(value, float | int) else value
