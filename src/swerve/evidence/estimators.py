@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swerve.base.arguments import whole_number
+from swerve.base.groups import sums_of_groups
 from swerve.hypotheses.bits import entered_blocks, num_bits
 
 BLOCK = 128  # bytes, of 8 hypotheses each, unpacked at a time: bounds the memory
@@ -272,8 +273,7 @@ def joint_error(error: np.ndarray, sample_of: np.ndarray) -> np.ndarray:
       error: [K, ...] standard errors of the terms.
       sample_of: [K] number of each task's sample, from 0.
     """
-    together = np.zeros((int(sample_of.max(initial=0)) + 1, *error.shape[1:]))
-    np.add.at(together, sample_of, error)
+    together = sums_of_groups(error, sample_of, int(sample_of.max(initial=0)) + 1)
     return np.linalg.norm(together, axis=0)
 
 

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from swerve.base.arguments import number_or_nan, positive_number, whole_number
+from swerve.base.groups import sums_of_groups
 from swerve.evidence.estimators import LogRatio, joint_error
 from swerve.inference import likelihood, posterior
 from swerve.inference.conditional import Conditional, conditional
@@ -244,9 +245,8 @@ class InForce:
         """Count the demonstrations that avoid C and avoid or enter each hypothesis."""
         inference = self._inference
         task_of, entered = inference.task_of[self._is_obeyed], inference.entered[self._is_obeyed]
-        entering = np.zeros(inference.is_counted.shape)
-        np.add.at(entering, task_of, entered)
-        num = np.bincount(task_of, minlength=len(entering))[:, None]
+        num = np.bincount(task_of, minlength=len(inference.is_counted))[:, None]
+        entering = sums_of_groups(entered, task_of, len(num))
         is_counted = inference.is_counted
         return likelihood.Counts((num - entering) * is_counted, entering * is_counted)
 

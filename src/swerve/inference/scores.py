@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from swerve.base.groups import sums_of_groups
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.estimators import joint_error
 from swerve.evidence.evidence import Evidence
@@ -55,8 +56,7 @@ class Scores:
     @cached_property
     def counts(self) -> likelihood.Counts:
         """[K, H] numbers of demonstrations, where they count, that avoid and enter a hypothesis."""
-        entering = np.zeros(self.is_counted.shape)
-        np.add.at(entering, self.task_of, self.entered.astype(float))
+        entering = sums_of_groups(self.entered, self.task_of, self.evidence.num_tasks)
         avoiding = self.task_counts[:, None] - entering
         return likelihood.Counts(avoiding * self.is_counted, entering * self.is_counted)
 
