@@ -165,6 +165,13 @@ class TestExplorers:
         assert 0.1 < entered.mean() < 0.99
         assert missed_share(found, 0.0, 1_000, False) < 1.0
 
+    @pytest.mark.parametrize("is_resampled", [True, False])
+    def test_all_in_known_constraints_tell_nothing(self, is_resampled: bool) -> None:
+        gain, value = np.zeros((2, 2, 256))
+        gain[1, :100] = gain[0, 100:] = -np.inf
+        found = Explored(*(jnp.asarray(x) for x in (gain, gain, value)))
+        assert math.isnan(missed_share(found, 0.0, 1_000, is_resampled))
+
 
 class UniformlyRandom:
     """A policy without a value."""

@@ -66,7 +66,8 @@ def share_missed(job: SamplingJob, log_partition: float) -> float:
       log_partition: log Z_0 by the samples, nats.
 
     Returns:
-      The share; NaN where the samples have another beta than the policy.
+      The share; NaN where the samples have another beta than the policy, or all explorers enter a
+      known constraint.
     """
     if job.method == TEMPERED:
         return math.nan
@@ -109,6 +110,8 @@ def missed_share(
 ) -> float:
     """Estimate the share of pi_0, from 0 to 1, in which no trajectory is expected to be sampled.
 
+    The share is NaN where all explorers enter a known constraint.
+
     Args:
       explored: the explorers.
       log_partition: log Z_0 by the samples, nats.
@@ -117,6 +120,8 @@ def missed_share(
     """
     gain, policy_gain, value = (np.asarray(part, np.float64) for part in explored)
     is_lost = np.isneginf(gain).any(axis=0)  # they weigh nothing, whatever the policy does
+    if is_lost.all():  # nothing was explored
+        return math.nan
     policy_gain = np.where(is_lost, gain, policy_gain)
     log_weight = gain.sum(axis=0) - log_partition
     scarcity = policy_gain.sum(axis=0) - log_partition
