@@ -137,10 +137,10 @@ def summarise(
         log_partition = estimators.log_partition(log_weight)
         kept, ancestor = samples.kept[k].astype(float), samples.ancestor[k]
         speed = np.abs(problem.space.difference(kept[:, :-1], kept[:, 1:])) / problem.dt
-        of_islands = _of_islands(used, samples.violations[k], num_hypotheses)
-        estimate = estimators.avoid_probability(used, samples.violations[k], num_hypotheses)
-        if len(np.unique(ancestor)) < len(ancestor):  # trajectories depend on one another
-            estimate = estimate._replace(avoid_variance=of_islands.variance())
+        distinct_share = len(np.unique(ancestor)) / len(ancestor)
+        judged = used, samples.violations[k], num_hypotheses
+        of_islands = _of_islands(*judged)
+        estimate = estimated(*judged, distinct_share == 1.0, of_islands)
         if method in RESAMPLED:
             kl = float(estimators.normalise(log_weight) @ _finite(importance[k])) - log_partition
         else:
@@ -154,7 +154,7 @@ def summarise(
                 log_partition,
                 kl,
                 min(estimators.effective_sample_size(x, ancestor) for x in (log_weight, used)),
-                len(np.unique(ancestor)) / len(ancestor),
+                distinct_share,
                 [_log_mean(log_weight[island]) for island in islands(len(log_weight))],
                 of_islands.avoid_without().astype(np.float32),
                 samples.soft_value[k] if sampling_beta == problem.beta else np.nan,
@@ -197,9 +197,13 @@ def islands(num_trajectories: int) -> list[np.ndarray]:
 
 
 def estimated(
-    log_weight: np.ndarray, violations: np.ndarray, num_hypotheses: int, are_independent: bool
+    log_weight: np.ndarray,
+    violations: np.ndarray,
+    num_hypotheses: int,
+    are_independent: bool,
+    of_islands: estimators.Parts | None = None,
 ) -> estimators.Estimate:
-    """Estimate Z_c / Z_0 as `summarise` does.
+    """Estimate Z_c / Z_0, with a variance by islands where trajectories depend on one another.
 
     Args:
       log_weight: [N] nats; -inf for trajectories to be left out.
@@ -207,12 +211,14 @@ def estimated(
       num_hypotheses: H.
       are_independent: whether no two trajectories descend from the same one at the start; otherwise
         only islands are independent, and their spread is the error.
+      of_islands: the islands' parts, where known; computed where needed if None.
     """
     estimate = estimators.avoid_probability(log_weight, violations, num_hypotheses)
     if are_independent:
         return estimate
-    variance = _of_islands(log_weight, violations, num_hypotheses).variance()
-    return estimate._replace(avoid_variance=variance)
+    if of_islands is None:
+        of_islands = _of_islands(log_weight, violations, num_hypotheses)
+    return estimate._replace(avoid_variance=of_islands.variance())
 
 
 def _of_islands(
