@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from swerve.evidence.evidence import Evidence
@@ -17,3 +19,12 @@ def assert_equal(a: Evidence, b: Evidence) -> None:
     for part in PARTS:
         for x, y in zip(getattr(a, part), getattr(b, part), strict=True):
             np.testing.assert_array_equal(x, y, strict=True)
+
+
+def resolved(evidence: Evidence, task: int, hypothesis: int, error: float = 0.05) -> Evidence:
+    """Return evidence with one ratio as if it had been resolved: -30 nats."""
+    values = {"avoid_probability": np.exp(-30.0), "log_ratio": -30.0, "log_ratio_error": error}
+    changed = {name: getattr(evidence.summary, name).copy() for name in values}
+    for name, value in values.items():
+        changed[name][task, hypothesis] = value
+    return dataclasses.replace(evidence, summary=evidence.summary._replace(**changed))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import partial
 from pathlib import Path
 
 import pytest
 from support.command import SOLVER
+from support.evidence_parts import assert_equal, resolved
+from support.synthetic import make_evidence, make_record
 
 from swerve.base import store
+from swerve.evidence.evidence import Evidence
 from swerve.work.folder import Reading, State, WorkFolder
 from swerve.work.settings import Settings
 from swerve.work.work import Work
@@ -78,3 +82,41 @@ def test_settings_that_are_left_out_outlast_the_learning_of_a_teacher(
     assert again.settings == asked
     assert WorkFolder(tmp_path / "work", robot).read().settings == asked
     assert nominal.exists()
+
+
+class TestAddEvidence:
+    """Two processes have read the folder before either writes."""
+
+    settings = Settings(SOLVER, 0, "importance", 400)
+
+    def written(self, folder: Path, *parts: Evidence) -> Evidence:
+        record = make_record()
+        folder.mkdir(exist_ok=True)
+        for part in parts:
+            WorkFolder(folder, "pendulum").add_evidence(part, self.settings, record)
+        found = WorkFolder(folder, "pendulum").read_evidence(self.settings, record)
+        assert found is not None
+        return found
+
+    def test_tasks_come_after_what_is_stored(self, tmp_path: Path) -> None:
+        whole = make_evidence()
+        found = self.written(tmp_path, whole.select([2]), whole.select([0]), whole.select([1, 2]))
+        assert_equal(found, whole.select([2, 0, 1]))
+
+    def test_what_one_has_resolved_outlasts_what_the_other_writes(self, tmp_path: Path) -> None:
+        known = make_evidence().select([0, 1])
+        mine, theirs = resolved(known, 0, 3), resolved(known, 1, 5)
+        found = self.written(tmp_path, known, mine, theirs, make_evidence())
+        assert_equal(found, resolved(resolved(make_evidence(), 0, 3), 1, 5))
+
+    @pytest.mark.parametrize("order", [1, -1])
+    def test_what_is_resolved_goes_before_what_was_tried_in_vain(
+        self, order: int, tmp_path: Path
+    ) -> None:
+        known = make_evidence()
+        values = known.summary.log_ratio_error.copy()
+        values[0, 3] = math.inf
+        tried = dataclasses.replace(known, summary=known.summary._replace(log_ratio_error=values))
+        assert_equal(self.written(tmp_path / "a", known, tried, known), tried)
+        both = (tried, resolved(known, 0, 3))[::order]
+        assert_equal(self.written(tmp_path / "b", *both), resolved(known, 0, 3))

@@ -12,7 +12,8 @@ from typing import Any
 from urllib.parse import unquote
 
 import pytest
-from support.command import SOLVER, SPACE, Run, infer
+from support.command import CONSTRAINT, SOLVER, SPACE, Run, infer
+from support.evidence_parts import resolved
 
 from swerve.base import interrupts, store
 from swerve.base.space import Task
@@ -176,10 +177,13 @@ def test_two_processes_add_to_one_folder(
     works = [Work(robot, tmp_path / "work", settings) for _ in range(2)]
     empty = Work(robot, tmp_path / "later", settings)
     known = [work._stored_evidence(work.record) for work in works]
+    assert known[0] is not None
+    works[0]._save([resolved(known[0], 0, CONSTRAINT)])
     for work, task, evidence in zip(works, tasks[1:], known, strict=True):
         work._sample(Task.stack([task]), evidence)
     found = Work(robot, tmp_path / "work", settings).evidence(None)
     assert found.num_tasks == 3
+    assert found.is_resolved.sum() == 1
     Work(robot, tmp_path / "later", settings).evidence(Task.stack(tasks[:2]))
     empty._sample(Task.stack(tasks[2:]), None)
     assert Work(robot, tmp_path / "later", settings).evidence(None).num_tasks == 3

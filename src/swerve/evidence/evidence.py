@@ -23,7 +23,14 @@ from swerve.base.space import Task
 from swerve.evidence import matching
 from swerve.evidence.motion import Motion
 from swerve.evidence.quantities import Quantities
-from swerve.evidence.samples import REWEIGHED, Samples, Summary, joined_samples, summarise
+from swerve.evidence.samples import (
+    RESOLVED,
+    REWEIGHED,
+    Samples,
+    Summary,
+    joined_samples,
+    summarise,
+)
 from swerve.evidence.schema import StoredEvidence
 
 KIND = "swerve-evidence"
@@ -101,6 +108,23 @@ class Evidence(Quantities):
             missed_share=self.missed_share[indices],
             load_reward=lambda: self.total_reward[indices],
         )
+
+    def with_resolved(self, other: Evidence) -> Evidence:
+        """Return this evidence with the ratios that other evidence has resolved for its tasks.
+
+        Args:
+          other: evidence by the same samples, of the same tasks or others.
+        """
+        rows = matching.find_each(self.problem, other.tasks, self.tasks)
+        mine, theirs = np.flatnonzero(rows >= 0), rows[rows >= 0]
+        before, after = (
+            evidence.summary.log_ratio_error[k] for evidence, k in ((self, mine), (other, theirs))
+        )
+        is_newer = np.isfinite(after) | np.isnan(before) & np.isposinf(after)
+        changed = {name: getattr(self.summary, name).copy() for name in RESOLVED}
+        for name, values in changed.items():
+            values[mine] = np.where(is_newer, getattr(other.summary, name)[theirs], values[mine])
+        return dataclasses.replace(self, summary=self.summary._replace(**changed))
 
     def weighted(self, method: str) -> Evidence:
         """Return evidence with the same trajectories weighed by another method.

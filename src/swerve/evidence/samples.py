@@ -19,6 +19,7 @@ TEMPERED = "tempered"  # method of evidence whose beta was reached in steps from
 RESAMPLED = ("smc", TEMPERED)  # methods whose trajectories follow pi_0, sampled in islands
 REWEIGHED = ("importance", "plain")  # methods that weigh the same trajectories differently
 NUM_ISLANDS = 20  # islands, the independent parts of the trajectories of a task
+RESOLVED = ("avoid_probability", "avoid_variance", "log_ratio", "log_ratio_error")  # by `resolve`
 EXACT = "exact"  # method of evidence that a solver computed without sampling
 NUM_KEPT = 100  # whole trajectories of a task that are kept for pictures
 

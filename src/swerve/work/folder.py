@@ -157,12 +157,16 @@ class WorkFolder:
         return evidence
 
     def add_evidence(self, evidence: Evidence, settings: Settings, record: ProblemRecord) -> None:
-        """Write evidence, with the stored evidence of other tasks: another process may add some."""
+        """Write evidence after the stored evidence, which another process may have added to.
+
+        Of a task that both hold, the stored evidence is kept, with what either has resolved.
+        """
         with self._locked():
             stored = self.read_evidence(settings, record)
             if stored is not None:
-                rows = missing_rows(evidence, stored.tasks)
-                evidence = evidence.joined(stored.select(rows)) if rows else evidence
+                rows = missing_rows(stored, evidence.tasks)
+                stored = stored.with_resolved(evidence)
+                evidence = stored.joined(evidence.select(rows)) if rows else stored
             evidence.save(self.result_path("evidence", settings))
 
     def read(self) -> Reading:

@@ -265,8 +265,8 @@ class Work:
         num = math.prod(whole_islands(settings.num_trajectories))
         if settings.method in RESAMPLED and num > settings.num_trajectories:
             self.say(f"{settings.method} takes {num:,} trajectories a task, in {NUM_ISLANDS} parts")
-        found = [] if known is None else [known]
-        num_saved, saved_at = len(found), time.monotonic()
+        found: list[Evidence] = []
+        num_saved, saved_at = 0, time.monotonic()
         try:
             for _, evidence in sample_each(
                 self.nominal(tasks),
@@ -283,7 +283,8 @@ class Work:
         finally:
             if len(found) > num_saved:
                 self._save(found)
-        return found[0].joined(*found[1:])
+        first, *others = found if known is None else [known, *found]
+        return first.joined(*others)
 
     def _save(self, found: list[Evidence]) -> None:
         """Add evidence to the folder, which has been prepared."""
