@@ -10,6 +10,7 @@ from swerve.constraints.boxes import Box
 from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
+from swerve.inference.posterior import Prior
 from swerve.presentation import sentences as wording
 
 CELLS = grid(x=(0.0, 10.0, 10))  # the tasks start in 1, 5 and 9
@@ -144,6 +145,37 @@ class TestBelief:
         assert result.log_bayes_factor > 0.0
         factor = phrases.times(result.log_bayes_factor)
         assert f"; Bayes factor of a constraint against none {factor}; 95 %" in result.belief
+
+    @pytest.mark.parametrize("prior", [1.0, [1.0, 0.0, 0.0, 0.0, 0.0]])
+    def test_has_none_where_the_prior_rules_out_every_constraint(self, prior: Prior) -> None:
+        """As in JSON; and the headline, which is about the data alone, says it too."""
+        columns = np.zeros((3, 1000, 4), bool)
+        columns[:, :900, 3] = True
+        evidence = evidence_of_columns(columns, grid(x=(0.0, 8.0, 4)))
+        result = infer(evidence, [make_demonstration(0)], prior=prior)
+        assert result.belief == (
+            "Posterior: no constraint 100 %; no Bayes factor, since the prior rules out every "
+            "constraint; 95 % credible set: no constraint."
+        )
+        assert result.to_json()["none"]["log_bayes_factor"] is None
+        assert result.headline.endswith("nats), although the prior rules out every constraint.")
+        assert wording.title(result).endswith(
+            " nats, although the prior rules out every constraint"
+        )
+
+    def test_says_that_the_first_is_ruled_out_by_its_prior(self) -> None:
+        columns = np.zeros((3, 1000, 4), bool)
+        columns[:, :900, 3] = columns[:, :300, 2] = True
+        evidence = evidence_of_columns(columns, grid(x=(0.0, 8.0, 4)))
+        demonstrations = [make_demonstration(0)]
+        result = infer(evidence, demonstrations, prior=[0.5, 0.0, 0.0, 0.5, 0.0])
+        assert result.headline.endswith("nats), although the prior rules out this hypothesis.")
+        assert "Bayes factor of a constraint against none 1.4; 95 %" in result.belief
+        certain = infer(evidence, demonstrations, prior=0.0)
+        assert certain.headline == infer(evidence, demonstrations).headline
+        assert certain.belief.startswith("Posterior: no constraint 0, cell 3 ")
+        factor = certain.to_json()["none"]["log_bayes_factor"]
+        assert f"a constraint against none {phrases.times(factor)}; 95 %" in certain.belief
 
     def test_has_none_before_anything_is_seen(self) -> None:
         assert "Bayes" not in infer(with_chances([0.5]).evidence).belief

@@ -38,7 +38,7 @@ def title(inference: Ranking) -> str:
     text = f"{what} at {score(inference, best)}{_tied(inference)}"
     if not inference.demonstrations:
         return f"No demonstrations yet. Prior ranking: {text}"
-    return text[0].upper() + text[1:]
+    return f"{text[0].upper()}{text[1:]}{_against_prior(inference, best)}"
 
 
 def sentence(inference: Ranking) -> str:
@@ -60,7 +60,16 @@ def sentence(inference: Ranking) -> str:
         )
     verb = "is" if len(inference.demonstrations) == 1 else "are"
     doubt = ", by samples that are not to be trusted" if verdicts.is_untrusted(inference) else ""
-    return f"{basis} {verb} best explained by keeping out of {answer}{doubt}."
+    unless = _against_prior(inference, best)
+    return f"{basis} {verb} best explained by keeping out of {answer}{doubt}{unless}."
+
+
+def _against_prior(inference: Ranking, index: int) -> str:
+    """Return that the prior rules a hypothesis out; '' if the prior allows the hypothesis."""
+    if inference.prior[1 + index]:
+        return ""
+    what = "this hypothesis" if inference.prior[1:].any() else "every constraint"
+    return f", although the prior rules out {what}"
 
 
 def _prior_sentence(inference: Ranking, answer: str) -> str:
@@ -94,9 +103,11 @@ def belief(inference: Ranking) -> str:
         best = int(found.hypotheses.argmax())
         value = probability(found.hypotheses[best], found.error[best])
         parts.append(f"{noun(inference)} {best} {value}")
-    if inference.demonstrations:
+    if inference.demonstrations and inference.prior[1:].any():
         factor = times(inference.log_bayes_factor)
         parts[-1] += f"; Bayes factor of a constraint against none {factor}"
+    elif inference.demonstrations:
+        parts[-1] += "; no Bayes factor, since the prior rules out every constraint"
     names = ["no constraint"] * credible.has_none
     if len(credible.hypotheses):
         names.append(_numbered(inference, credible.hypotheses.tolist()))

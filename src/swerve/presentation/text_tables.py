@@ -126,7 +126,11 @@ def _finite(value: float) -> float | None:
 
 
 def _none(inference: Ranking, posterior: Posterior | None) -> dict[str, Any]:
-    """Return how probable no constraint is, and the evidence against it."""
+    """Return how probable no constraint is, and the evidence against it.
+
+    The log Bayes factor is null where there is none, since the prior rules out every constraint,
+    and where the factor is 0, since all hypotheses that the prior allows are ruled out.
+    """
     return {
         "prior": float(inference.prior[0]),
         "posterior": posterior and posterior.none,
