@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import os
 import stat
 import subprocess
@@ -135,22 +136,22 @@ class TestLeftovers:
     def test_of_a_writer_that_is_alive_stay(self, tmp_path: Path) -> None:
         code = (
             "import sys, time; from pathlib import Path; from swerve.base import files\n"
-            "def slow(file):\n"
+            "def slow(file):\n"  # which is called once the file is locked
+            "    Path(sys.argv[1], 'begun').touch()\n"
             "    while not Path(sys.argv[1], 'done').exists(): time.sleep(0.01)\n"
             "files.replace(Path(sys.argv[1], 'slow'), slow)"
         )
         command = [sys.executable, "-c", code, str(tmp_path)]
         with subprocess.Popen(command, env=child_environment()) as child:
             deadline = time.monotonic() + 60
-            while not names(tmp_path) and time.monotonic() < deadline:
+            while "begun" not in names(tmp_path) and time.monotonic() < deadline:
                 time.sleep(0.01)
-            time.sleep(0.1)  # from creating to locking
             files.write_text(tmp_path / "quick", "")
             [temporary] = [name for name in names(tmp_path) if name.startswith(".")]
             (tmp_path / "done").touch()
             assert child.wait(60) == 0
         assert files.TEMPORARY.fullmatch(temporary)
-        assert names(tmp_path) == ["done", "quick", "slow"]
+        assert names(tmp_path) == ["begun", "done", "quick", "slow"]
 
     def test_taken_away_by_mistake_are_written_again(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -171,6 +172,41 @@ class TestLeftovers:
 
 
 class TestWholeFolder:
+    @pytest.mark.parametrize("moment", ["before it is open", "before the lock", "under a lock"])
+    def test_taken_away_by_mistake_is_made_again(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+    ) -> None:
+        """Another process sweeps leftovers between making the folder and locking it."""
+        opened, locked, taken, others = os.open, fcntl.flock, [], []
+
+        def open_late(path: files.AnyPath, flags: int, *mode: int) -> int:
+            if taken or not files.TEMPORARY.fullmatch(Path(path).name):
+                return opened(path, flags, *mode)
+            taken.append(Path(path))
+            if moment == "before it is open":
+                taken[0].rmdir()
+            descriptor = opened(path, flags, *mode)
+            if moment == "under a lock":
+                others.append(opened(path, flags))
+                locked(others[0], fcntl.LOCK_EX)
+                taken[0].rmdir()
+            return descriptor
+
+        def lock_late(descriptor: int, operation: int) -> None:
+            if moment == "before the lock" and taken[0].exists():
+                taken[0].rmdir()
+            locked(descriptor, operation | fcntl.LOCK_NB)  # to wait would take for ever here
+
+        monkeypatch.setattr(os, "open", open_late)
+        monkeypatch.setattr(fcntl, "flock", lock_late)
+        with files.whole_folder(tmp_path / "b") as folder:
+            (folder / "f").write_text("")
+        for descriptor in others:
+            os.close(descriptor)
+        assert folder != taken[0]
+        assert names(tmp_path) == ["b"]
+        assert names(tmp_path / "b") == ["f"]
+
     def test_is_there_when_it_is_complete(self, tmp_path: Path) -> None:
         with files.whole_folder(tmp_path / "a" / "b") as folder:
             (folder / "f").write_text("")

@@ -89,16 +89,12 @@ def whole_folder(path: Path) -> Iterator[Path]:
         is there already.
     """
     check_link(path)
-    temporary = path.with_name(_random_name())
     try:
         make_folder(path.parent)
-        temporary.mkdir()
+        temporary, descriptor = _temporary_folder(path.parent)
     except OSError as error:
         raise _cannot_write(path.parent, error, path.name) from error
-    descriptor = os.open(temporary, os.O_RDONLY)
     try:
-        with contextlib.suppress(OSError):  # some network folders have no locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield temporary
         _sync_folder(temporary)
         move(temporary, path)
@@ -236,8 +232,25 @@ def _temporary_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
             return
 
 
+def _temporary_folder(parent: Path) -> tuple[Path, int]:
+    """Return a new folder of a random name in a folder, and its descriptor, which holds a lock."""
+    while True:
+        path = parent / _random_name()
+        path.mkdir()
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+        except FileNotFoundError:  # another process took the folder for a leftover
+            continue
+        except OSError:
+            path.rmdir()
+            raise
+        if _lock_alone(descriptor, path):
+            return path, descriptor
+        os.close(descriptor)
+
+
 def _lock_alone(descriptor: int, path: Path) -> bool:
-    """Lock a new file; return False where another process took it for a leftover meanwhile."""
+    """Lock what is new; return False where another process took it for a leftover meanwhile."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
