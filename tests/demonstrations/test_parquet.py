@@ -161,12 +161,15 @@ def test_memory_is_limited(tmp_path: Path) -> None:
         assert len(read_one(good).states) == 2
 
 
-def test_a_reader_that_was_killed_is_started_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_noticed", [False, True])
+def test_a_reader_that_was_killed_is_started_again(tmp_path: Path, is_noticed: bool) -> None:
     path = save_parquet(tmp_path / "demo.parquet", x=[1.0, 2.0], y=[0.0, 1.0])
     read_one(path)
     child = parquet_format._held()
     assert child is not None
     child.send_signal(signal.SIGKILL)
+    if is_noticed:
+        child.wait()  # before anything is written to it
     assert len(read_one(path).states) == 2
     assert parquet_format._held() is not child
 

@@ -10,6 +10,7 @@ or an address.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import json
 import os
 import subprocess
@@ -145,7 +146,8 @@ def _end() -> None:
         child.wait()
         for pipe in (child.stdin, child.stdout):
             if pipe is not None:
-                pipe.close()
+                with contextlib.suppress(BrokenPipeError):  # it holds what the child never took
+                    pipe.close()
 
 
 atexit.register(_end)
