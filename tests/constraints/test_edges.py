@@ -97,6 +97,38 @@ class TestSideOfAnEdge:
         inside = Box(x=(0.5, 1.0)).contains(states, LINE)
         np.testing.assert_array_equal(inside, [False, True, True])
 
+    @pytest.mark.parametrize("offset", [2e-4, -0.002, 0.0, 0.03, 4.0])
+    def test_states_on_the_edge_of_a_half_space_are_inside(self, offset: float) -> None:
+        """However small the offset is beside the states, whose float32 is coarser."""
+        space = StateSpace(("x", "y"), (), np.array([[-12.0, 12.0]] * 2))
+        x = np.random.default_rng(0).uniform(-8.0, 8.0, 2_000)
+        edge = HalfSpace(offset, x=1.0, y=-1.0)
+        for kind in (np.float64, np.float32):
+            states = np.stack([x, x - offset], axis=-1).astype(kind)
+            assert edge.contains(states, space).all()
+        assert by_jax(lambda s: edge.contains(s, space), states).all()
+
+    def test_states_on_the_edge_of_a_small_region_far_from_zero_are_outside(self) -> None:
+        space = StateSpace(("x", "y"), (), np.array([[0.0, 900.0]] * 2))
+        angle = np.random.default_rng(0).uniform(0.0, TWO_PI, 2_000)
+        round_it = np.stack([800.0 + 0.02 * np.cos(angle), 0.02 * np.sin(angle)], axis=-1)
+        ball = Ball(0.02, x=800.0, y=0.0)
+        side = np.stack([800.0 + 0.02 * np.sin(angle), np.full(2_000, 0.01)], axis=-1)
+        square = Polygon([(799.9, 0.01), (800.1, 0.01), (800.1, 0.03), (799.9, 0.03)])
+        for region, states in ((ball, round_it), (square, side)):
+            assert not region.contains(states, space).any()
+            assert not by_jax(lambda s, r=region: r.contains(s, space), states).any()
+            assert region.contains(np.array([800.0, 0.02 if region is square else 0.0]), space)
+
+    def test_narrow_windows_have_the_edges_of_boxes(self) -> None:
+        slid = windows(x=(0.0, 1.0, 0.02), overlap=4)
+        listed = ConstraintHypotheses([slid.constraint(k) for k in range(len(slid))])
+        edges = np.concatenate(slid.edges()["x"])
+        below = np.random.default_rng(0).uniform(0.0, 6e-6, len(edges))
+        states = np.stack([edges - below, np.zeros(len(edges))], axis=-1)[:, None]
+        answers = [h.violations(states, LINE, False) for h in (slid, listed)]
+        np.testing.assert_array_equal(answers[0], answers[1])
+
     @pytest.mark.parametrize("bound", [10.0, 1e3, 1e5, 1e6])
     def test_wide_bounds_do_not_move_the_edges_of_small_regions(self, bound: float) -> None:
         """At most one state in a thousand lies within the resolution of an edge."""

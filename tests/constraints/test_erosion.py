@@ -118,7 +118,7 @@ def test_hypotheses_that_go_round_keep_going_round(hypotheses: HypothesisSet) ->
 def test_an_interval_of_no_angle_has_sides_however_wide() -> None:
     left = Box(x=(-4.0, -4.0 + TWO_PI)).eroded({"x": 0.5}, SPACE)
     assert left.spans["x"] == pytest.approx((-3.5, TWO_PI - 4.5))
-    assert GridAxis(SPACE, "x", 0.0, TWO_PI, 3).period == 4
+    assert GridAxis(SPACE, "x", 0.0, TWO_PI, 3, 1).period == 4
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from swerve.base.space import (
     wide,
 )
 from swerve.constraints.base import Constraint, nowhere
-from swerve.constraints.edges import Interval, coordinate
+from swerve.constraints.edges import Interval, coordinate, judged_interval
 
 
 class Box(Constraint):
@@ -102,7 +102,12 @@ class Box(Constraint):
     def _judged(self, space: StateSpace) -> list[tuple[str, Interval]]:
         """Return the intervals of the box as they are judged."""
         return [
-            (name, Interval(low, high, space.resolution[space.column(name)], name in space.angles))
+            (
+                name,
+                judged_interval(
+                    low, high, space.resolution[space.column(name)], name in space.angles
+                ),
+            )
             for name, (low, high) in self.intervals.items()
         ]
 
@@ -197,7 +202,7 @@ class ActionBox(Constraint):
             value = single(actions.values[..., actions.names.index(name)])
             edges = [abs(edge) for edge in (low, high) if edge and math.isfinite(edge)]
             resolution = RESOLUTION * max(edges, default=1.0)
-            inside = inside & Interval(low, high, resolution, is_angle=False).holds(value)
+            inside = inside & judged_interval(low, high, resolution, False).holds(value)
         return inside
 
     def among(self, mdp: HasActions) -> np.ndarray:

@@ -3,8 +3,8 @@
     x lies at or above an edge e    where    float32(x) >= float32(e - r),
 
 with r the resolution: about a millionth of the state's extent (`StateSpace.resolution`), at most
-SHARE of the width of the region, and at least twice the spacing of float32 at the edge. So a number that
-lies on an edge but for rounding counts as on it, whether it was recorded in decimals,
+SHARE of the width of the region, and at least twice the spacing of float32 at the edge. So a number
+that lies on an edge but for rounding counts as on it, whether it was recorded in decimals,
 simulated in float32 or computed in float64. An interval [low, high) holds the numbers that are at
 or above low and not at or above high. The interval of an angle is repeated at every turn. For
 intervals nothing but comparisons decides, so NumPy and JAX agree on every number.
@@ -18,6 +18,7 @@ Shapes: n state dimensions, ... any batch dimensions.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -33,6 +34,11 @@ TURNS = TWO_PI * np.arange(-ZERO, ZERO + 1)  # rad; as far as angles and segment
 def fine(resolution: float, width: float) -> float:
     """Return the resolution at the edges of a region of a width, which may be infinite."""
     return float(np.float32(min(resolution, SHARE * width)))
+
+
+def rounding(sizes: Any) -> Any:
+    """Return twice the spacing of float32 [...], or a little more, at numbers of sizes [...]."""
+    return 2.0**-22 * sizes
 
 
 def blur(edges: Any, resolution: float) -> np.ndarray:
@@ -60,6 +66,12 @@ def near_zero(low: float, high: float) -> tuple[float, float]:
     """Return an interval of an angle moved by whole turns, where it lies beyond MAX_TURNS turns."""
     turns = TWO_PI * round(low / TWO_PI) if abs(low) > MAX_TURNS * TWO_PI else 0.0
     return low - turns, high - turns
+
+
+@functools.lru_cache(1024)
+def judged_interval(low: float, high: float, resolution: float, is_angle: bool) -> Interval:
+    """Return an interval; those of constraints are judged again and again."""
+    return Interval(low, high, resolution, is_angle)
 
 
 class Interval:

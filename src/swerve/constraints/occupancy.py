@@ -12,10 +12,10 @@ Shapes: R rows of the map, upwards, C columns, n state dimensions, ... any batch
 from __future__ import annotations
 
 import base64
+import functools
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -121,7 +121,7 @@ class Occupancy(Constraint):
         first, last = ([axis.index(x) for axis, x in zip(axes, p, strict=True)] for p in places)
         hit = self._is_blocked(first) | self._is_blocked(last)
         has_between = abs(last[0] - first[0]) + abs(last[1] - first[1]) >= 2
-        passes = partial(self._passes, axes)
+        passes = functools.partial(self._passes, axes)
         return hit | where_near(passes, has_between & ~hit, (*places[0], *places[1]), 1)
 
     def _passes(self, axes: Sequence[MapAxis], x: Any, y: Any, end_x: Any, end_y: Any) -> Any:
@@ -161,9 +161,10 @@ class Occupancy(Constraint):
     def _axes(self, space: StateSpace) -> list[MapAxis]:
         """Return the axes of x and y."""
         rows, columns = self.blocked.shape
+        columns_of = [space.column(name) for name in self.names]
         return [
-            MapAxis(space, name, low, self.cell, count)
-            for name, low, count in zip(self.names, self.corner, (columns, rows), strict=True)
+            map_axis(column, space.resolution[column], low, self.cell, count)
+            for column, low, count in zip(columns_of, self.corner, (columns, rows), strict=True)
         ]
 
     def _is_blocked(self, index: Sequence[Any]) -> Any:
@@ -171,7 +172,7 @@ class Occupancy(Constraint):
         column, row = index
         return column.__array_namespace__().asarray(self._framed)[row + 2, column + 2]
 
-    @cached_property
+    @functools.cached_property
     def _framed(self) -> np.ndarray:
         """[R + 4, C + 4] the map in a frame of blocked cells, which stand for what is beyond."""
         return np.pad(self.blocked, 2, constant_values=True)
@@ -188,7 +189,7 @@ class Occupancy(Constraint):
             "names": list(self.names),
         }
 
-    @cached_property
+    @functools.cached_property
     def _packed(self) -> str:
         return base64.b64encode(zlib.compress(np.packbits(self.blocked).tobytes())).decode()
 
@@ -207,12 +208,18 @@ class Occupancy(Constraint):
         return cls(data["name"], blocked, data["corner"], data["cell"], data["names"])
 
 
+@functools.lru_cache(64)
+def map_axis(column: int, resolution: float, low: float, cell: float, count: int) -> MapAxis:
+    """Return an axis of a map; those of constraints are judged again and again."""
+    return MapAxis(column, resolution, low, cell, count)
+
+
 class MapAxis:
     """One axis of a map: lines between cells, and the index of cells, -1 and C beyond the map."""
 
-    def __init__(self, space: StateSpace, name: str, low: float, cell: float, count: int) -> None:
-        self.column, self.count, self.cell = space.column(name), count, cell
-        resolution = fine(space.resolution[self.column], cell)
+    def __init__(self, column: int, resolution: float, low: float, cell: float, count: int) -> None:
+        self.column, self.count, self.cell = column, count, cell
+        resolution = fine(resolution, cell)
         self.low = low - resolution
         lines = np.concatenate([[-np.inf], low + cell * np.arange(count + 1), [np.inf]])
         self.lines = threshold(lines, resolution)

@@ -25,7 +25,7 @@ from swerve.base.arguments import number_or_nan
 from swerve.base.space import TWO_PI, StateSpace, single, wide
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import call, short
-from swerve.constraints.edges import fine
+from swerve.constraints.edges import fine, rounding
 
 
 class Ball(Constraint):
@@ -99,9 +99,11 @@ class Ball(Constraint):
         return hit
 
     def _reach(self, space: StateSpace) -> float:
-        """Return the radius less the resolution."""
+        """Return the radius less the resolution, or the rounding of states near the ball."""
         resolution = max(space.resolution[[*map(space.column, self.centre)]])
-        return self.radius - fine(resolution, self.radius)
+        size = max(map(abs, self.centre.values())) + self.radius
+        resolution = max(fine(resolution, self.radius), rounding(size))
+        return max(0.0, self.radius - resolution)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the named states."""
@@ -198,7 +200,10 @@ class HalfSpace(Constraint):
 
     def contains(self, states: Any, space: StateSpace) -> Any:
         """Return [...] True where a state [..., n] is on the forbidden side, or on its edge."""
-        return self._sum(wide(single(states)), space) >= self.offset - self._resolution(space)
+        parts = self._parts(wide(single(states)), space)
+        size = functools.reduce(operator.add, map(abs, parts))
+        missing = self.offset - functools.reduce(operator.add, parts)
+        return (missing <= self._resolution(space)) | (missing <= rounding(size))
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:
         """Return [...] True where an end of the segment is inside: the sum is largest at an end."""
@@ -206,7 +211,7 @@ class HalfSpace(Constraint):
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the named states."""
-        missing = self.offset - self._sum(np.asarray(states, float), space)
+        missing = self.offset - sum(self._parts(np.asarray(states, float), space))
         return np.maximum(0.0, missing) / math.hypot(*self.normal.values())
 
     def _eroded(self, margin: Mapping[str, float], space: StateSpace) -> HalfSpace:
@@ -218,9 +223,9 @@ class HalfSpace(Constraint):
         """Return JSON data."""
         return {"kind": "half_space", "offset": self.offset, "normal": self.normal}
 
-    def _sum(self, states: Any, space: StateSpace) -> Any:
-        parts = [factor * states[..., space.column(k)] for k, factor in self.normal.items()]
-        return functools.reduce(operator.add, parts)
+    def _parts(self, states: Any, space: StateSpace) -> list[Any]:
+        """Return n_i x_i [...] of states [..., n] for each named state."""
+        return [factor * states[..., space.column(k)] for k, factor in self.normal.items()]
 
     def _resolution(self, space: StateSpace) -> float:
         """Return the resolution of the sum: the sum of |n_i| times that of each state."""

@@ -109,12 +109,18 @@ class GridHypotheses(BoxHypotheses):
 
     The last named state varies fastest: with axes theta and omega of 10 cells each,
     cell = 10 * theta_index + omega_index.
+
+    Args:
+      axes: (low, high, number of cells) by state.
+      overlap: number of cells along each axis of the regions that the cells make up: the edges are
+        those of the regions.
     """
 
-    def __init__(self, axes: dict[str, tuple[float, float, int]]) -> None:
+    def __init__(self, axes: dict[str, tuple[float, float, int]], overlap: int = 1) -> None:
         if not axes:
             raise ValueError("grid: expected at least one axis, as in grid(x=(0.0, 1.0, 10))")
         self.axes = {name: _checked_axis(name, axis) for name, axis in axes.items()}
+        self._overlap = overlap
         self.shape = tuple(cells for _, _, cells in self.axes.values())
 
     def check(self, space: StateSpace, action_names: Sequence[str]) -> None:
@@ -196,7 +202,7 @@ class GridHypotheses(BoxHypotheses):
 
     def lines(self, space: StateSpace) -> list[GridAxis]:
         """Return the axes of the grid, with their lines as they are judged."""
-        return [GridAxis(space, name, *axis) for name, axis in self.axes.items()]
+        return [GridAxis(space, name, *axis, self._overlap) for name, axis in self.axes.items()]
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""

@@ -32,16 +32,26 @@ class GridAxis:
     A number of extended index e lies between line e and line e + 1. On a straight axis, e is -1
     below the grid and `count` above the grid. On the axis of an angle, each turn adds `period`
     indices: `count` for the cells and, unless the cells fill the turn, one for the gap.
+
+    Args:
+      space: state space.
+      name: the state.
+      low: first line.
+      high: last line.
+      count: number of cells.
+      overlap: number of cells along this axis that a hypothesis consists of.
     """
 
-    def __init__(self, space: StateSpace, name: str, low: float, high: float, count: int) -> None:
+    def __init__(
+        self, space: StateSpace, name: str, low: float, high: float, count: int, overlap: int
+    ) -> None:
         self._space, self._name, self.count = space, name, count
         self.column = space.column(name)
         self.is_angle = name in space.angles
         if self.is_angle:
             low, high = near_zero(low, high)
         self.width = (high - low) / count
-        resolution = fine(space.resolution[self.column], self.width)
+        resolution = fine(space.resolution[self.column], overlap * self.width)
         self.period = count if self.is_angle and is_full_turn(low, high) else count + 1
         self._low = low - resolution
         lines = grid_lines(low, high, count)

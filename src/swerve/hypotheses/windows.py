@@ -46,7 +46,7 @@ class WindowHypotheses(BoxHypotheses):
         for name, (low, high, width) in self.axes.items():
             count = math.floor((high - low) / width * self.overlap + ROUNDING)
             cells[name] = (low, low + count * width / self.overlap, count)
-        self._cells = GridHypotheses(cells)
+        self._cells = GridHypotheses(cells, self.overlap)
         self._goes_round = [
             math.isclose(high - low, TWO_PI, rel_tol=RESOLUTION)
             for low, high, _ in self._cells.axes.values()
