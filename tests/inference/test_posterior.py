@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.synthetic import evidence_of_columns, make_demonstration, make_evidence
+from support.synthetic import (
+    evidence_of_columns,
+    make_demonstration,
+    make_evidence,
+    make_record,
+    make_samples,
+)
 
 from swerve.answer import infer
+from swerve.base.space import TWO_PI, Task
+from swerve.demonstrations.demonstration import Demonstration
 from swerve.hypotheses.grid import grid
 from swerve.inference.posterior import (
     Posterior,
@@ -216,6 +225,25 @@ class TestOfInference:
         with_it, without_it = (1.0 / (1.0 + 0.5 * ratio) for ratio in (19.0, 2000.0))
         stated = 19.0 / 20.0 * (with_it - without_it)
         assert result.posterior.none_error == pytest.approx(stated, rel=1e-4)
+
+    def test_takes_less_memory_than_twice_the_values_without_an_island(self) -> None:
+        tasks = Task(np.c_[np.zeros(20), np.linspace(1.0, 9.0, 20)], np.ones((20, 2)))
+        cells = grid(theta=(0.0, TWO_PI, 20), x=(0.0, 9.0, 25))
+        samples = make_samples(100, tasks, 500)
+        evidence = make_evidence(make_record(hypotheses=cells), samples, tasks)
+        found = [
+            Demonstration(f"d{x[1]}", np.array([x, x + 0.1]), Task(x, y))
+            for x, y in zip(*tasks, strict=True)
+        ]
+        result = infer(evidence, found, tolerance=0.1)
+        assert np.isfinite(result.standard_error).all()  # is kept, as is all that it needs
+        tracemalloc.start()
+        try:
+            assert result.posterior.none_error > 0.0
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        assert peak < 2 * evidence.summary.avoid_without_island.nbytes
 
     def test_demonstrations_are_added_one_by_one(self) -> None:
         evidence = sampled(0)

@@ -193,24 +193,42 @@ def of_scores(scores: Scores) -> Posterior:
     used = scores.is_used[tasks]
     is_resolved = evidence.is_resolved[tasks] & used
     has_own_error = is_resolved | evidence.is_floored[tasks] & used
-    # one island may hold all trajectories that avoid c: without this island the probability is
-    # at least one trajectory's share
-    without = evidence.summary.avoid_without_island[tasks].swapaxes(0, 1).astype(float)
-    without = np.maximum(without, evidence.resolution[tasks][:, None])
-    from_islands = np.log(np.where(used & ~has_own_error, without, 1.0))
-    gained = _gained_without_islands(evidence)[:, tasks, None]
-    own_ratio = scores.finite_log_ratio[tasks] + np.where(is_resolved, gained, 0.0)
-    log_ratio = np.where(has_own_error, own_ratio, from_islands)
-    counts = likelihood.Counts(*(part[tasks] for part in scores.counts))
-    log_likelihood = likelihood.log_likelihood(log_ratio, counts, scores.tolerance)
-    log_likelihood = np.where(scores.struck_out, -np.inf, log_likelihood)
-    island_error = jackknife_error(posterior(log_likelihood, scores.prior))
+    without = _without_islands(scores, tasks, is_resolved, has_own_error)
+    island_error = jackknife_error(posterior(without, scores.prior))
     of_partition = np.where(is_resolved, evidence.log_partition_error[tasks][:, None], 0.0)
     variance = np.maximum(evidence.standard_error[tasks] ** 2 - of_partition**2, 0.0)
     own = scores.sensitivity[tasks] * np.sqrt(np.where(has_own_error, variance, 0.0))
     own = joint_error(own, evidence.sample_of[tasks])
     error = np.hypot(island_error, _propagated_error(value, own, _sharing(evidence)))
     return Posterior(float(value[0]), float(error[0]), value[1:], error[1:])
+
+
+def _without_islands(
+    scores: Scores, tasks: np.ndarray, is_resolved: np.ndarray, has_own_error: np.ndarray
+) -> np.ndarray:
+    """Return the log-likelihood ratios [I, H] without one island each; -inf if struck out.
+
+    Args:
+      scores: scores by sampled evidence.
+      tasks: [M] numbers of the tasks with demonstrations.
+      is_resolved: [M, H] True where a ratio in use was sampled with the constraint in force.
+      has_own_error: [M, H] True where a ratio in use is resolved, or a bound.
+    """
+    evidence = scores.evidence
+    least = evidence.resolution[tasks][:, None]
+    is_of_islands = scores.is_used[tasks] & ~has_own_error
+    counts = likelihood.Counts(*(part[tasks] for part in scores.counts))
+    own_ratio = np.where(has_own_error, scores.finite_log_ratio[tasks], 0.0)
+    gained = _gained_without_islands(evidence)[:, tasks, None]
+    found = np.empty((len(gained), own_ratio.shape[1]))
+    for island, gain in enumerate(gained):  # all at once would take 20 times the memory
+        # one island may hold all trajectories that avoid c: without this island the probability is
+        # at least one trajectory's share
+        without = evidence.summary.avoid_without_island[tasks, island]
+        log_ratio = np.log(np.where(is_of_islands, np.maximum(without, least), 1.0))
+        log_ratio += own_ratio + np.where(is_resolved, gain, 0.0)
+        found[island] = likelihood.log_likelihood(log_ratio, counts, scores.tolerance)
+    return np.where(scores.struck_out, -np.inf, found)
 
 
 def _gained_without_islands(evidence: Evidence) -> np.ndarray:
