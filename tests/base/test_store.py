@@ -109,8 +109,8 @@ def test_importing_loads_neither_jax_nor_polars_nor_zipfile() -> None:
         "names = 'arguments decimals files imports interrupts json_text phrases space store';"
         "names = [*names.split(), 'version'];"
         "base = {f'base.{name}' for name in names};"
-        "read = ('checks', 'csv_format', 'demonstration', 'formats', 'headers', 'parquet_format',"
-        "    'recordings', 'tables');"
+        "read = ('checks', 'csv_format', 'demonstration', 'durations', 'formats', 'headers',"
+        "    'parquet_format', 'recordings', 'tables');"
         "ours = {'base', 'demonstrations'} | base | {f'demonstrations.{name}' for name in read};"
         "assert swerve == {f'swerve.{name}' for name in ours}, swerve"
     )
