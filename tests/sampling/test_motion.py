@@ -52,6 +52,20 @@ def test_evidence_of_all_kinds_holds_the_motion(tmp_path: Path) -> None:
             np.testing.assert_array_equal(stored, known)
 
 
+def test_problems_of_one_mdp_share_its_motion() -> None:
+    """As those that are resolved, each with another known constraint."""
+    problem = short_pendulum()
+    motion = motion_of(problem)
+    narrower = dataclasses.replace(problem, known=[swerve.Box(omega=(5.0, 6.0))])
+    assert motion_of(narrower) is motion
+    lost = swerve.Problem(Lost(), problem.hypotheses)
+    assert motion_of(lost) is None
+    other = motion_of(swerve.Problem(swerve.Pendulum(max_torque=7.0), problem.hypotheses))
+    assert motion is not None
+    assert other is not None
+    assert other.reach[1] > 1.5 * motion.reach[1]
+
+
 def test_moves_without_a_clock_have_no_motion() -> None:
     floor = swerve.Problem(swerve.Walker(), swerve.grid(x=(-1.0, 1.0, 2)))
     assert motion_of(floor) is None

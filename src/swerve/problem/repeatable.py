@@ -33,6 +33,7 @@ REMEDY = (
     "random) and clocks out: the dynamics of an MDP are deterministic"
 )
 _CHECKED: WeakKeyDictionary[type, set[str]] = WeakKeyDictionary()  # digests of MDPs, by class
+_JUDGED: WeakKeyDictionary[Constraint, bytes] = WeakKeyDictionary()  # bounds, by predicate
 
 
 def check_repeatable(mdp: Any, digest: str) -> None:
@@ -66,7 +67,8 @@ def check_predicates(constraints: Iterable[Constraint], space: StateSpace, what:
     """Raise ValueError where a predicate judges the same states in two ways.
 
     Args:
-      constraints: constraints of any kind; those without code are left out.
+      constraints: constraints of any kind; those without code are left out, and those that were
+        checked in the same bounds before.
       space: state space.
       what: "hypotheses" or "known", for messages.
     """
@@ -75,8 +77,9 @@ def check_predicates(constraints: Iterable[Constraint], space: StateSpace, what:
     states = states.astype(np.float32)
     for constraint in constraints:
         for part in constraint.parts if constraint.needs_code else ():
-            if part.needs_code:
+            if part.needs_code and _JUDGED.get(part) != space.bounds.tobytes():
                 _check_predicate(part, states, space, what)
+                _JUDGED[part] = space.bounds.tobytes()
 
 
 def _check_predicate(part: Constraint, states: np.ndarray, space: StateSpace, what: str) -> None:

@@ -22,20 +22,23 @@ MOST_ACTIONS = 25  # actions tried in a state
 LEAST_FINITE = 0.5  # share of the states: with fewer finite ones, the fit would be of few places
 MOST_OWN, LEAST_OWN = 64, 8  # trajectories of the model that must not seem impossible
 OWN_STEPS = 12_800  # of these trajectories in all, if the least number of them does not have more
-_KNOWN: WeakKeyDictionary[Problem, Motion] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[type, tuple[str, Motion | None]] = WeakKeyDictionary()
+"""By class, the digest of the MDP that was learned last, and its motion."""
 
 
 def motion_of(problem: Problem) -> Motion | None:
-    """Return how the states of a problem move; None where its moves take no definite time."""
-    mdp = problem.mdp
+    """Return how the states of a problem move; None where its moves take no definite time.
+
+    Problems that differ in other things than the MDP, such as what is known, share the motion.
+    """
+    mdp, digest = problem.mdp, problem.record.mdp_digest
     if not mdp.is_timed or mdp.space.is_lattice:
         return None
-    if problem not in _KNOWN:
-        found = _learned(problem)
-        if found is None:
-            return None
-        _KNOWN[problem] = found
-    return _KNOWN[problem]
+    known, motion = _KNOWN.get(type(mdp), ("", None))
+    if known != digest:
+        motion = _learned(problem)
+        _KNOWN[type(mdp)] = digest, motion
+    return motion
 
 
 def _learned(problem: Problem) -> Motion | None:
