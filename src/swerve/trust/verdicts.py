@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from swerve.base.groups import sums_of_groups
 from swerve.base.phrases import NUM_NAMES
 from swerve.base.solver_kinds import kind_stored, solver_names
 from swerve.evidence.estimators import HOTTEST, LOW_ESS
@@ -72,7 +73,7 @@ def _doubt(evidence: Evidence, checks: Checks, task: int) -> str:
     if checks.apart[task]:
         return f"not to be trusted: parts of its samples differ {_apart_by(evidence, task)}"
     if checks.missing[task]:
-        return f"{_missing_text(evidence.missed_share[task])} of pi_0 was not sampled"
+        return _missing_text(evidence, task)
     if is_too_hot(evidence):
         return f"errors may be larger than stated: {_at_its_beta(evidence)}"
     if checks.far[task]:
@@ -128,8 +129,7 @@ def _samples_needed(inference: Ranking, tasks: Sequence[int]) -> np.ndarray:
     first = inference.ranking[: NUM_SETTLED + 1]
     evidence, sample_of = inference.evidence, inference.evidence.sample_of
     num_tasks = len(set(sample_of[inference.task_counts > 0].tolist()))  # equal tasks count once
-    of_sample = np.zeros((sample_of.max() + 1, len(first)))
-    np.add.at(of_sample, sample_of, inference.task_error[:, first])
+    of_sample = sums_of_groups(inference.task_error[:, first], sample_of, sample_of.max() + 1)
     error = of_sample[sample_of][tasks].T
     score = inference.score[first]
     gap = np.maximum(score[:-1] - score[1:], 1e-12)[:, None]
@@ -170,9 +170,13 @@ def is_too_hot(evidence: Evidence) -> bool:
     return evidence.problem.beta < HOTTEST * evidence.sampling_beta
 
 
-def _missing_text(share: float) -> str:
+def _missing_text(evidence: Evidence, task: int) -> str:
+    """Return how much of pi_0 was not sampled, with the beta of pi_0 where it is not this beta."""
+    share, at = evidence.missed_share[task], ""
+    if evidence.is_of_other_beta:  # nobody explored pi_0 at this beta
+        at = f" at beta {evidence.sampling_beta:g}, the beta of sampling,"
     doubt = "not to be trusted" if share > HIGH_MISSED else "errors may be larger than stated"
-    return f"{doubt}: about {100 * share:.2g} %"
+    return f"{doubt}: about {100 * share:.2g} % of pi_0{at} was not sampled"
 
 
 def _worst(
@@ -221,9 +225,9 @@ def _missing(inference: Ranking, checks: Checks) -> Iterator[str]:
     num, num_used = (np.count_nonzero(tasks) for tasks in (checks.missing, inference.task_counts))
     for worst, name, _ in _worst(inference, checks.missing, evidence.missed_share):
         yield (
-            f"{_missing_text(evidence.missed_share[worst])} of pi_0 was not sampled for {name}, "
-            f"the worst of {num} such tasks of {num_used}, but found by trajectories that deviate "
-            f"from the policy. {_remedy(evidence)}"
+            f"{_missing_text(evidence, worst)} for {name}, the worst of {num} such tasks of "
+            f"{num_used}, but found by trajectories that deviate from the policy. "
+            f"{_remedy(evidence)}"
         )
 
 
