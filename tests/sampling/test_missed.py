@@ -137,6 +137,17 @@ class TestPolicies:
             f"{expected} for task 1, the worst of 1 such tasks of 2"
         )
 
+    def test_what_is_missing_is_of_the_beta_sampled_for(self) -> None:
+        evidence = dataclasses.replace(sampled(), missed_share=np.array([np.nan, 0.2]))
+        sampled_for = evidence.problem.beta
+        result = infer(evidence.at_beta(0.95 * sampled_for), [])
+        of_beta = f"of pi_0 at beta {sampled_for:g}, the beta of sampling, was not sampled"
+        expected = f"not to be trusted: about 20 % {of_beta}"
+        assert result.verdict(1) == expected
+        assert result.warnings[0].startswith(
+            f"{expected} for task 1, the worst of 1 such tasks of 2"
+        )
+
 
 class TestExplorers:
     def test_weigh_what_they_do_exactly(self, monkeypatch: pytest.MonkeyPatch) -> None:
