@@ -83,6 +83,26 @@ def test_rows_out_of_order_are_to_be_sorted(tmp_path: Path, times: np.ndarray) -
     assert text.endswith("sort the rows, or remove those recorded twice")
 
 
+def test_the_name_of_a_folder_says_nothing_about_its_files(tmp_path: Path) -> None:
+    folder = tmp_path / "several recordings in one file"
+    folder.mkdir()
+    times = np.concatenate([ONE[:9], ONE[[10, 9]], ONE[11:]])
+    text = error_of(folder / "a.csv", times, gear=np.repeat([1, 2], 10))
+    assert text.endswith("sort the rows, or remove those recorded twice")
+
+
+def test_a_column_of_many_values_may_tell_them_apart(tmp_path: Path) -> None:
+    """Or may not: within a value times have to increase, however the rows lie."""
+    times = np.repeat(np.arange(2.0), 500)
+    number = np.random.default_rng(0).permutation(500)
+    columns = {"noise": np.random.default_rng(1).random(1000), "number": np.tile(number, 2)}
+    assert error_of(tmp_path / "a.csv", times, **columns).endswith(
+        "The column number tells them apart"
+    )
+    again = np.repeat(number, 2)
+    assert "apart" not in error_of(tmp_path / "a.csv", times, number=again)
+
+
 def test_a_time_column_of_another_name_is_looked_at_too(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{t},0.1,0.2" for t in np.concatenate([ONE, ONE])]

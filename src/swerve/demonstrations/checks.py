@@ -49,6 +49,10 @@ SPLIT = "Several recordings in one file? Split it, one file each"
 RowNamer = Callable[[int], str]
 
 
+class SeveralRecordingsError(ValueError):
+    """Times that do not increase seem to be those of several recordings."""
+
+
 def check_states(
     states: np.ndarray,
     times: np.ndarray | None,
@@ -156,26 +160,28 @@ def _check_times(times: np.ndarray, at: RowNamer, name: str) -> None:
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         before, after = (float(time) for time in times[late[0] : late[0] + 2])
-        raise ValueError(
+        kind, advice = _order_advice(times)
+        raise kind(
             f"{at(late[0])} has {name} = {before!r} and row {late[0] + 2} has {name} = {after!r}; "
-            f"expected times that strictly increase: {_order_advice(times)}"
+            f"expected times that strictly increase: {advice}"
         )
 
 
-def _order_advice(times: np.ndarray) -> str:
-    """Return what to do about times [L] that do not strictly increase."""
+def _order_advice(times: np.ndarray) -> tuple[type[ValueError], str]:
+    """Return the error for times [L] that do not strictly increase, and what to do about them."""
     changes = np.diff(times)
     back, usual = -changes[changes < 0.0], np.median(np.abs(changes))
     is_mixed = np.count_nonzero(changes == 0.0) > MANY_TWICE * len(times)
     is_joined = 0 < len(back) <= FEW_RETURNS * len(times) and back.min() > FAR_BACK * usual
     if is_mixed and not len(back) and is_since_1970(times[0]):
-        return (
+        return ValueError, (
             "times since 1970 with too few digits? Save them with all digits, or as seconds since "
             "the first row"
         )
     if is_mixed or is_joined:
-        return f"{SPLIT[0].lower()}{SPLIT[1:]}; to sort the rows would mix the recordings"
-    return "sort the rows, or remove those recorded twice"
+        advice = f"{SPLIT[0].lower()}{SPLIT[1:]}; to sort the rows would mix the recordings"
+        return SeveralRecordingsError, advice
+    return ValueError, "sort the rows, or remove those recorded twice"
 
 
 def _check_units(states: np.ndarray, space: StateSpace, at: RowNamer) -> None:

@@ -17,7 +17,13 @@ import numpy as np
 
 from swerve.base.phrases import cut, shown, some_names
 from swerve.base.space import StateSpace
-from swerve.demonstrations.checks import check_finite, check_path, check_states, row_namer
+from swerve.demonstrations.checks import (
+    SeveralRecordingsError,
+    check_finite,
+    check_path,
+    check_states,
+    row_namer,
+)
 from swerve.demonstrations.formats import read_table
 from swerve.demonstrations.headers import (
     can_be_seconds,
@@ -119,10 +125,8 @@ def _check_recording(
     named = shown(time_name)
     try:
         check_path(states, times, space, str(path), line_of=table.line_of, time_name=named)
-    except ValueError as error:
-        if times is None or "several recordings" not in str(error):
-            raise
-        name = _telling_column(path, table.unread, times)
+    except SeveralRecordingsError as error:
+        name = "" if times is None else _telling_column(path, table.unread, times)
         if not name:
             raise
         raise ValueError(f"{error}. The column {shown(name)} tells them apart") from error
@@ -188,7 +192,11 @@ def _telling_column(path: Path, names: Sequence[str], times: np.ndarray) -> str:
             values = read_table(path, [name]).values[:, 0]
         except ValueError:  # no numbers
             continue
-        groups = [times[values == value] for value in np.unique(values)]
-        if 1 < len(groups) <= len(times) / 2 and all((np.diff(g) > 0.0).all() for g in groups):
+        found, group = np.unique(values, return_inverse=True)
+        if not 1 < len(found) <= len(times) / 2:
+            continue
+        order = np.argsort(group, kind="stable")
+        is_same = np.diff(group[order]) == 0
+        if (np.diff(times[order])[is_same] > 0.0).all():
             return name
     return ""
