@@ -49,6 +49,22 @@ def test_the_nearest_and_first_is_found(
     assert matching.find_each(record, known, nothing).shape == (0,)
 
 
+@pytest.mark.parametrize("goal", GOALS)
+def test_each_joins_the_nearest_of_those_that_came_first(goal: str) -> None:
+    record, num_joined = make_record(goal_names=GOALS[goal]), 0
+    for seed in range(20):
+        tasks, known, numbers = crowded(np.random.default_rng(seed), 80, goal), [0], []
+        for row in range(80):
+            of_known, each = (Task(*(part[at] for part in tasks)) for at in (known, row))
+            number, distance = matching.nearest(record, of_known, each)
+            is_same = distance <= matching.MATCH_TOLERANCE
+            numbers.append(known[int(number)] if is_same else row)
+            known += [] if is_same else [row]
+            num_joined += int(is_same and not np.array_equal(of_known.start[number], each.start))
+        np.testing.assert_array_equal(matching.group_each(record, tasks), numbers)
+    assert num_joined > 100
+
+
 @pytest.mark.parametrize("varied", ["theta", "x", "goal"])
 def test_tasks_that_differ_are_not_all_compared(
     varied: str, monkeypatch: pytest.MonkeyPatch
@@ -73,3 +89,7 @@ def test_tasks_that_differ_are_not_all_compared(
     found = matching.match_each(make_record(), known, tasks, names)
     np.testing.assert_array_equal(found, order)
     assert sum(compared) < 60 * num
+    compared.clear()
+    grouped = matching.group_each(make_record(), tasks)
+    assert len(np.unique(grouped)) > 500
+    assert sum(compared) < 120 * num

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from support.carts import CART, sampled, shown
-from support.reference import CART_TASK, enumerate_exactly
+from support.reference import CART_TASK, Cart, enumerate_exactly
 from support.walks import PROBLEM, ROUND, TASK, walk
 
 from swerve import Demonstration, Task, divergence, fit_beta, infer, learn, sample
-from swerve.fitting.rewards import total_rewards
+from swerve.fitting.rewards import _path_of, total_rewards
 from swerve.fitting.steps import steps_taken
 
 
@@ -88,6 +90,38 @@ def test_demonstrations_that_differ_by_rounding_are_the_same() -> None:
     assert divergence(PROBLEM, alike, np.full(3, -2.0)) == pytest.approx(3.0 - 2.0)
 
 
+class Compared(np.ndarray):
+    """Actions that count how often they are compared."""
+
+    num = 0
+
+    def __sub__(self, other: Any) -> Any:
+        Compared.num += 1
+        return np.asarray(self) - np.asarray(other)
+
+
+@pytest.mark.parametrize("is_discrete", [True, False])
+def test_trajectories_that_differ_are_not_all_compared(is_discrete: bool) -> None:
+    """Of 600 trajectories of one task, some of them alike."""
+    generator = np.random.default_rng(0)
+    made = generator.normal(size=(600, 8, 2))
+    made = np.sign(made) if is_discrete else made
+    made[generator.integers(600, size=300)] = made[generator.integers(600, size=300)]
+    size = np.abs(made).max(axis=(1, 2), keepdims=True)
+    made += 0.3e-6 * size * generator.uniform(-1.0, 1.0, made.shape)
+    expected, known = [], []
+    for taken in made:
+        apart = [np.abs(other - taken).max() for other in known]
+        is_new = min(apart, default=math.inf) > 1e-6 * np.abs(taken).max()
+        expected.append(len(known) if is_new else int(np.argmin(apart)))
+        known += [taken] if is_new else []
+    Compared.num = 0
+    found = _path_of([0] * 600, [taken.view(Compared) for taken in made])
+    assert found == [(0, 8, number) for number in expected]
+    assert len(known) < 500
+    assert 100 < Compared.num < 2_000
+
+
 @pytest.mark.parametrize("values", [3.0, [1.0, 2.0], [[1.0]]])
 def test_divergence_takes_one_number_for_each_demonstration(values) -> None:
     with pytest.raises(ValueError, match=r"one number for each of 1 demonstrations, .* got shape"):
@@ -128,6 +162,19 @@ def made() -> list[Demonstration]:
     return [*shown()[:10], shown()[0], left]
 
 
+def rolled_out(forces: Sequence[float]) -> tuple[float, int]:
+    """Return R and L of the cart under these forces, by its formulas written once more."""
+    (x, v), line, reward = CART_TASK.start.tolist(), float(CART_TASK.goal[0]), 0.0
+    for step, force in enumerate(forces, start=1):
+        v += 0.5 * force
+        x += 0.5 * v
+        reward -= 0.3 * force**2 + 0.2 * (x - line) ** 2
+        if abs(x) > 1.5:
+            return reward - 2.0 - (x - line) ** 2, step
+    assert len(forces) == Cart().num_steps
+    return reward - (x - line) ** 2, len(forces)
+
+
 @cache
 def log_partition() -> np.ndarray:
     """Log Z_0 of each of them."""
@@ -139,15 +186,15 @@ class TestOfOtherRecordings:
 
     def test_is_that_of_enumeration(self) -> None:
         """KL = sum p log (p / pi_C), with pi_C from all action sequences, one after another."""
-        names = [np.asarray(item.actions).astype(int).tobytes() for item in made()]
+        names = [tuple(np.asarray(item.actions)[:, 0].tolist()) for item in made()]
         share = np.array([names.count(name) / len(made()) for name in names])
         log_pi = []
-        for item in made():
-            reward = total_rewards(CART, [item])[0]
-            num = len(np.asarray(item.actions))
+        for forces in names:
+            reward, num = rolled_out(forces)
             log_pi.append(CART.beta * reward - num * math.log(3.0) - log_partition()[0])
         expected = np.mean(np.log(share) - log_pi)
         assert share.max() >= 2 / 12
+        assert len({rolled_out(forces)[1] for forces in names}) > 1
         assert divergence(CART, made(), log_partition()) == pytest.approx(expected)
 
     @pytest.mark.parametrize(
@@ -180,7 +227,7 @@ class TestOfOtherRecordings:
         found = divergence(CART, made(), log_partition())
         assert divergence(CART, others, log_partition()) == pytest.approx(found, abs=0.1)
         for one, other in zip(made(), others, strict=True):
-            taken, expected = (steps_taken(CART.mdp, item).actions for item in (other, one))
+            taken, expected = (steps_taken(CART, item).actions for item in (other, one))
             np.testing.assert_array_equal(taken, expected)
 
     def test_is_the_same_at_both_precisions(self) -> None:

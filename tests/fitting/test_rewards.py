@@ -8,11 +8,33 @@ import math
 import numpy as np
 import pytest
 from support.carts import CART, shown
-from support.reference import CART_TASK, short_pendulum
+from support.reference import CART_TASK, Cart, short_pendulum
 from support.routes import TASK, LatticeRoutes, routes
 
-from swerve import Demonstration, Task
+from swerve import Demonstration, Problem, Task
 from swerve.fitting.rewards import total_rewards
+from swerve.fitting.steps import steps_taken
+
+TRACES: list[str] = []
+
+
+class Traced(Cart):
+    """The cart, which notes each time that JAX traces its rewards or its end."""
+
+    def reward(self, state, action, next_state, goal):
+        TRACES.append("reward")
+        return super().reward(state, action, next_state, goal)
+
+    def terminated(self, state, goal):
+        TRACES.append("terminated")
+        return super().terminated(state, goal)
+
+
+def wandering(num: int) -> Demonstration:
+    """A demonstration of some steps on the track."""
+    generator = np.random.default_rng(num)
+    states, forces = generator.uniform(-1, 1, (num + 1, 2)), generator.integers(-1, 2, (num, 1))
+    return Demonstration(f"of {num}", states, Task(states[0], CART_TASK.goal), actions=forces)
 
 
 class TestRewards:
@@ -51,6 +73,29 @@ class TestRewards:
             np.testing.assert_allclose(
                 total_rewards(problem, [item]), total_rewards(problem, [steps]), rtol=1e-5
             )
+
+    def test_lengths_share_what_is_compiled(self) -> None:
+        """Rows that make up the number compiled for are not earned."""
+        problem = Problem(Traced(num_steps=200), CART.hypotheses)
+        made, expected = [wandering(num) for num in (1, 2, 5, 20, 63, 64)], []
+        for item in [*made, wandering(65), wandering(200)]:
+            off = item.states[1:, 0] - CART_TASK.goal[0]
+            forces = np.asarray(item.actions)[:, 0]
+            expected.append(-0.3 * (forces**2).sum() - 0.2 * (off**2).sum() - off[-1] ** 2)
+        TRACES.clear()
+        found = total_rewards(problem, made)
+        assert sorted(TRACES) == ["reward", "terminated"]
+        found = np.append(found, total_rewards(problem, [wandering(65), wandering(200)]))
+        assert sorted(TRACES) == ["reward"] * 2 + ["terminated"] * 2
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+    def test_the_action_at_the_middle_of_a_step_counts(self) -> None:
+        """Not the one held for the longest; where it changes at the middle, the one before."""
+        times = np.array([0.0, 0.2, 0.35, 0.5, 0.75, 1.0])
+        states = np.linspace(*CART_TASK, 6)
+        forces = np.array([[-1.0], [0.0], [1.0], [0.0], [1.0]])
+        made = Demonstration("a", states, CART_TASK, times, forces)
+        np.testing.assert_array_equal(steps_taken(CART, made).actions, [[0.0], [0.0]])
 
     def test_what_comes_after_the_end_does_not_count(self) -> None:
         states = np.array([[0.6, 0.3], [1.1, 1.0], [1.6, 1.0], [2.1, 1.0], [2.6, 1.0]])

@@ -43,7 +43,7 @@ def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = {
         "states": [(d.states @ [1, 4]).astype(int).tolist() for d in made],
         "actions": [
-            [moves.index((int(x), int(y))) for x, y in steps_taken(world.problem.mdp, d).actions]
+            [moves.index((int(x), int(y))) for x, y in steps_taken(world.problem, d).actions]
             for d in made
         ],
         "selected": selected,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import pickle
+import threading
 import weakref
 from typing import Any
 
@@ -14,7 +15,7 @@ from support.every_solver import GRID, TASK, TINY, push
 
 import swerve
 from swerve.simulation import compiled
-from swerve.simulation.compiled import of_problem
+from swerve.simulation.compiled import of_problem, padded
 
 
 def traced() -> tuple[Any, list[Any]]:
@@ -57,12 +58,57 @@ class TestOfProblem:
         assert traces == [1, 2, 3, 1]
         assert len(problem.compiled) == 2
 
+    def test_makes_no_function_that_there_is(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        made, jit = [], compiled.jax.jit
+        monkeypatch.setattr(compiled.jax, "jit", lambda function: made.append(1) or jit(function))
+        total, _ = traced()
+        problem = push()
+        for _ in range(3):
+            total(problem, {"x": np.ones(2, np.float32)})
+        assert len(made) == 1
+
+    def test_threads_add_one_after_another(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """While one looks for the oldest function, another one drops none."""
+        monkeypatch.setattr(compiled, "MOST", 2)
+        total, traces = traced()
+        problem, values = push(), {"x": np.ones(2, np.float32)}
+        has_added, jit = threading.Event(), compiled.jax.jit
+        thread = threading.Thread(target=total, args=(problem, values), kwargs={"power": 9})
+
+        def slow_jit(function: Any) -> Any:
+            if threading.current_thread() is thread:
+                has_added.wait(2.0)
+            return jit(function)
+
+        class Kept(dict):
+            def __iter__(self) -> Any:
+                found = super().__iter__()
+                if thread.ident is None:
+                    thread.start()
+                    thread.join(0.3)
+                return found
+
+        monkeypatch.setattr(compiled.jax, "jit", slow_jit)
+        problem.__dict__["compiled"] = Kept()
+        for power in (1, 2, 3):
+            total(problem, values, power=power)
+        has_added.set()
+        thread.join()
+        assert sorted(traces) == [1, 2, 3, 9]
+        assert len(problem.compiled) == 2
+
     def test_is_not_pickled(self) -> None:
         total, _ = traced()
         problem = push()
         total(problem, {"x": np.ones(2, np.float32)})
         again = pickle.loads(pickle.dumps(problem))  # noqa: S301  # our own
         assert (len(problem.compiled), len(again.compiled)) == (1, 0)
+
+
+def test_padded_rows_come_in_few_numbers() -> None:
+    rows = np.arange(10.0).reshape(5, 2)
+    np.testing.assert_array_equal(padded(rows, 2)[:5], rows)
+    assert {len(padded(np.zeros((num, 3)), 2)) for num in range(1, 129)} == {2, 16, 128}
 
 
 def used(way: str) -> list[weakref.ref[Any]]:

@@ -60,6 +60,30 @@ def find_each(problem: ProblemRecord, known: Task, tasks: Task) -> np.ndarray:
     return numbers
 
 
+def group_each(problem: ProblemRecord, tasks: Task) -> np.ndarray:
+    """Return for each task the index [D] of an earlier task that is the same, or its own index.
+
+    Returned indices are of tasks that are the same as none of these before them. Of several the
+    nearest is taken, and of equally near ones the first.
+
+    Args:
+      problem: problem that the tasks belong to.
+      tasks: starts [D, n] and goals [D, g].
+    """
+    tasks = Task(*(np.asarray(part, float) for part in tasks))
+    near = min(_near_in_each_number(problem, tasks, tasks), key=lambda near: near.num.sum())
+    place, is_known = np.argsort(near.order), np.zeros(len(near.order), bool)  # known: in the order
+    numbers = np.arange(len(near.order))
+    for row, (first, num) in enumerate(zip(near.first, near.num, strict=True)):
+        known = np.sort(near.order[first : first + num][is_known[first : first + num]])
+        distance = _distance(problem, _rows(tasks, known), _rows(tasks, row))
+        if distance.min(initial=np.inf) <= MATCH_TOLERANCE:
+            numbers[row] = known[distance.argmin()]
+        else:
+            is_known[place[row]] = True
+    return numbers
+
+
 class _Near(NamedTuple):
     """Known tasks that agree with tasks in one number: those of task d are neighbours in order.
 

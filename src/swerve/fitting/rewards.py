@@ -11,20 +11,22 @@ Shapes: M demonstrations, L steps of one, m action dimensions.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right, insort
 from collections import Counter
 from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
-from swerve.evidence.matching import MATCH_TOLERANCE, nearest
-from swerve.fitting.steps import Steps, at_states, steps_taken
+from swerve.evidence.matching import group_each
+from swerve.fitting.steps import LEAST_PADDED, Steps, at_states, steps_taken
 from swerve.problem.forked import check_process
-from swerve.problem.mdp import MDP
 from swerve.problem.problem import Problem
+from swerve.simulation.compiled import of_problem, padded
 from swerve.systems.tabular import TabularMDP
 
 SAME_ACTION = 1e-6  # of the largest action: what single precision and nine digits leave of it
@@ -37,25 +39,30 @@ def total_rewards(problem: Problem, demonstrations: Sequence[Demonstration]) -> 
       ValueError: as from `steps_taken`, or if a total reward is not finite.
     """
     check_process()
-    mdp = problem.mdp
-    return np.array([total_reward(mdp, item, steps_taken(mdp, item)) for item in demonstrations])
+    return np.array(
+        [total_reward(problem, item, steps_taken(problem, item)) for item in demonstrations]
+    )
 
 
-def total_reward(mdp: MDP, demonstration: Demonstration, steps: Steps) -> float:
+def total_reward(problem: Problem, demonstration: Demonstration, steps: Steps) -> float:
     """Return R(xi) of a demonstration that took these steps.
 
     Raises:
       ValueError: if the total reward is not finite.
     """
-    states, goal = steps.states, jnp.asarray(demonstration.task.goal, jnp.float32)
+    mdp, goal = problem.mdp, jnp.asarray(demonstration.task.goal, jnp.float32)
     if isinstance(mdp, TabularMDP):
-        number = mdp.transitions.number(states)
+        number = mdp.transitions.number(steps.states)
         end = np.asarray(at_states(mdp, goal)[0], float)[number[-1]]
         rewards = mdp.rewards[number[:-1], mdp.action_index(steps.actions)]
     else:
-        end = float(mdp.terminal_reward(jnp.asarray(states[-1], jnp.float32), goal))
-        path, taken = jnp.asarray(states, jnp.float32), jnp.asarray(steps.actions, jnp.float32)
-        rewards = jax.vmap(mdp.reward, (0, 0, 0, None))(path[:-1], taken, path[1:], goal)
+        states, actions, following = (
+            jnp.asarray(padded(part, LEAST_PADDED), jnp.float32)
+            for part in (steps.states[:-1], steps.actions, steps.states[1:])
+        )
+        each = _rewards(problem, states, actions, following, goal)
+        rewards, ends = (np.asarray(part)[: len(steps.actions)] for part in each)
+        end = float(ends[-1])
     earned = float(np.asarray(rewards, float).sum() + end)
     if not math.isfinite(earned):
         raise ValueError(
@@ -63,6 +70,19 @@ def total_reward(mdp: MDP, demonstration: Demonstration, steps: Steps) -> float:
             "demonstration, or the rewards of the MDP"
         )
     return earned
+
+
+@of_problem
+def _rewards(
+    problem: Problem,
+    states: Float[Array, "L n"],
+    actions: Float[Array, "L m"],
+    following: Float[Array, "L n"],
+    goal: Float[Array, " g"],
+) -> tuple[Array, Array]:
+    """Return r [L] of steps, and r_T [L] of the states that the steps lead to."""
+    rewards = jax.vmap(problem.mdp.reward, (0, 0, 0, None))(states, actions, following, goal)
+    return rewards, jax.vmap(problem.mdp.terminal_reward, (0, None))(following, goal)
 
 
 def divergence(
@@ -95,13 +115,14 @@ def divergence(
             f"log_partition: expected one number for each of {len(demonstrations)} demonstrations, "
             f"log Z_C of its task, got shape {log_partition.shape}"
         )
-    mdp, taken = problem.mdp, [steps_taken(problem.mdp, item) for item in demonstrations]
-    log_measure = -math.log(mdp.num_actions) if problem.measure == "uniform" else 0.0
+    taken = [steps_taken(problem, item) for item in demonstrations]
+    log_measure = -math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
     terms = [
-        value - problem.beta * total_reward(mdp, item, steps) - log_measure * len(steps.actions)
+        value - problem.beta * total_reward(problem, item, steps) - log_measure * len(steps.actions)
         for item, steps, value in zip(demonstrations, taken, log_partition, strict=True)
     ]
-    task_of = _task_of(problem, demonstrations)
+    tasks = Task.stack([item.task for item in demonstrations])
+    task_of = group_each(problem.record, tasks).tolist()
     path_of = _path_of(task_of, [steps.actions for steps in taken])
     of_task, of_path = Counter(task_of), Counter(path_of)
     log_share = [
@@ -110,28 +131,25 @@ def divergence(
     return float(np.mean(log_share) + np.mean(terms))
 
 
-def _task_of(problem: Problem, demonstrations: Sequence[Demonstration]) -> list[int]:
-    """Return the number of each demonstration's task [M]; equal tasks have the same number."""
-    known, numbers = [demonstrations[0].task], []
-    for demonstration in demonstrations:
-        number, distance = nearest(problem.record, Task.stack(known), demonstration.task)
-        if distance > MATCH_TOLERANCE:
-            number = len(known)
-            known.append(demonstration.task)
-        numbers.append(int(number))
-    return numbers
-
-
 def _path_of(task_of: list[int], actions: list[np.ndarray]) -> list[tuple[int, int, int]]:
-    """Return what names the trajectory of each demonstration [M]: task, length, and a number."""
-    known: dict[tuple[int, int], list[np.ndarray]] = {}
+    """Return what names the trajectory of each demonstration [M]: task, length, and a number.
+
+    Only trajectories whose sums of weighted actions agree are compared: no weight is above 1, so
+    the sums of the same actions differ by at most the slack of all actions together.
+    """
+    known: dict[tuple[int, int], list[tuple[float, int, np.ndarray]]] = {}
     names = []
     for task, taken in zip(task_of, actions, strict=True):
-        alike = known.setdefault((task, len(taken)), [])
+        alike = known.setdefault((task, len(taken)), [])  # in the order of their sums
         slack = SAME_ACTION * np.abs(taken).max(initial=0.0)
-        apart = [np.abs(other - taken).max(initial=0.0) for other in alike]
-        number = int(np.argmin(apart)) if apart and min(apart) <= slack else len(alike)
-        if number == len(alike):
-            alike.append(taken)
+        total = float(np.cos(np.arange(taken.size)) @ taken.ravel())
+        reach = taken.size * slack
+        last = bisect_right(alike, (total + reach, len(alike)))
+        near = alike[bisect_left(alike, (total - reach,)) : last]
+        apart = [(np.abs(other - taken).max(initial=0.0), number) for _, number, other in near]
+        distance, number = min(apart, default=(math.inf, -1))
+        if distance > slack:
+            number = len(alike)
+            insort(alike, (total, number, taken))
         names.append((task, len(taken), number))
     return names

@@ -16,15 +16,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from swerve.demonstrations.checks import check_finite, check_horizon, check_transitions, row_namer
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.demonstrations.durations import is_too_long, unit_hint
 from swerve.demonstrations.headers import why_absent
 from swerve.problem.mdp import MDP
+from swerve.problem.problem import Problem
+from swerve.simulation.compiled import of_problem, padded
 from swerve.systems.tabular import TabularMDP
 
 ON_TIME = 1e-3  # of a step: rows as close as this to the MDP's time steps are not interpolated
+LEAST_PADDED = 64  # rows in the smallest batch that is compiled for: most demonstrations have fewer
 
 
 class Steps(NamedTuple):
@@ -39,14 +43,14 @@ class Steps(NamedTuple):
     actions: np.ndarray
 
 
-def steps_taken(mdp: MDP, demonstration: Demonstration) -> Steps:
+def steps_taken(problem: Problem, demonstration: Demonstration) -> Steps:
     """Return the steps of the model that a demonstration took until its episode ended.
 
     Where the model has a clock and the demonstration has times, a state is interpolated for each of
     the model's steps: states change linearly between rows, angles along their shorter arc. The last
     state is kept, and the number of steps is the nearest to the demonstration's duration. The
-    action of a step is the recorded action that was held for the most of it. Without times, or
-    without a clock, each row is a step.
+    action of a step is the recorded action in force at the middle of the step; where the recorded
+    action changes there, the action before. Without times, or without a clock, each row is a step.
 
     Rows after the end of the episode do not count. Actions in a tabular MDP are checked against its
     transitions; where the demonstration has no actions and only one action makes each of its steps,
@@ -57,11 +61,12 @@ def steps_taken(mdp: MDP, demonstration: Demonstration) -> Steps:
         demonstration goes on for more steps than the horizon, or lasts for more than
         `durations.MAX_HORIZONS` horizons.
     """
+    mdp = problem.mdp
     rows = _at_steps(mdp, demonstration)
     if isinstance(mdp, TabularMDP):
         return _tabular_steps(mdp, rows, demonstration)
     name, states, actions = demonstration.name, rows.states, rows.actions
-    length = _num_steps(mdp, states, demonstration)
+    length = _num_steps(problem, states, demonstration)
     check_horizon(length, mdp.num_steps, name)
     if actions is None or actions.shape[1] != len(mdp.action_names):
         raise ValueError(
@@ -117,18 +122,25 @@ def _row_before(wanted: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(elapsed, wanted, side="right") - 1, 0, len(elapsed) - 2)
 
 
-def _num_steps(mdp: MDP, states: np.ndarray, demonstration: Demonstration) -> int:
+def _num_steps(problem: Problem, states: np.ndarray, demonstration: Demonstration) -> int:
     """Return the number of steps along states [L+1, n] until the episode ends.
 
     It ends where the MDP says so, or at the horizon if the demonstration only rests after that.
     """
+    path, num_steps = states[1:], problem.mdp.num_steps
     goal = jnp.asarray(demonstration.task.goal, jnp.float32)
-    path = jnp.asarray(states[1:], jnp.float32)
-    ended = np.asarray(jax.vmap(mdp.terminated, (0, None))(path, goal))
+    batch = jnp.asarray(padded(path, LEAST_PADDED), jnp.float32)
+    ended = np.asarray(_endings(problem, batch, goal))[: len(path)]
     if ended.any():
         return int(ended.argmax()) + 1
-    rests = (states[mdp.num_steps :] == states[-1]).all()
-    return min(len(path), mdp.num_steps) if rests else len(path)
+    rests = (states[num_steps:] == states[-1]).all()
+    return min(len(path), num_steps) if rests else len(path)
+
+
+@of_problem
+def _endings(problem: Problem, states: Float[Array, "L n"], goal: Float[Array, " g"]) -> Array:
+    """Return whether the episode ends [L] in each state."""
+    return jax.vmap(problem.mdp.terminated, (0, None))(states, goal)
 
 
 def _tabular_steps(mdp: TabularMDP, rows: _Rows, demonstration: Demonstration) -> Steps:

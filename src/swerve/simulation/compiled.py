@@ -7,6 +7,7 @@ that it was called with. Here the compiled functions belong to the problem, and 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
@@ -18,6 +19,8 @@ from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 
 MOST = 64  # compiled functions that a problem keeps: policies without a common form may be many
+GROWTH = 8  # factor between numbers of rows: few, since a function is compiled for each
+_LOCK = threading.Lock()  # held while a function is added: threads may use the same problem
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
@@ -38,12 +41,30 @@ def of_problem(function: Callable[Arguments, Result]) -> Callable[Arguments, Res
         leaves, form = jax.tree.flatten((arguments, named))
         fixed = tuple(None if _is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
         key = function, form, fixed
-        if key not in kept and len(kept) >= MOST:
-            kept.pop(next(iter(kept)), None)
-        run = kept.setdefault(key, jax.jit(_of_arrays(*key)))
+        run = kept.get(key)
+        if run is None:
+            run = _added(kept, key)
         return run([leaf for leaf in leaves if _is_array(leaf)])
 
     return call
+
+
+def padded(rows: np.ndarray, least: int) -> np.ndarray:
+    """Return rows [N, ...], repeated until their number is one of few: `least` * GROWTH^k."""
+    size = least
+    while size < len(rows):
+        size *= GROWTH
+    return np.resize(rows, (size, *rows.shape[1:]))
+
+
+def _added(kept: dict[Any, Callable[..., Any]], key: tuple[Any, Any, tuple]) -> Callable[..., Any]:
+    """Return the compiled function of a key, after adding the function unless a thread has."""
+    with _LOCK:
+        if key not in kept:
+            if len(kept) >= MOST:
+                kept.pop(next(iter(kept)))
+            kept[key] = jax.jit(_of_arrays(*key))
+        return kept[key]
 
 
 def _is_array(leaf: Any) -> bool:

@@ -141,7 +141,7 @@ def sampled(
         Demonstration(f"demo_{k}", states[: length + 1], task)
         for k, (states, length) in enumerate(zip(kept.states, kept.length, strict=True))
     ]
-    return [dataclasses.replace(d, actions=steps_taken(problem.mdp, d).actions) for d in made]
+    return [dataclasses.replace(d, actions=steps_taken(problem, d).actions) for d in made]
 
 
 def labels(mdp: Gridworld) -> list[str]:

@@ -37,7 +37,7 @@ from swerve.hypotheses.bits import enters_set, no_bits, pack_sets
 from swerve.problem.boundary import actions_of
 from swerve.problem.problem import Problem
 from swerve.problem.tasks import checked_task
-from swerve.simulation.compiled import of_problem
+from swerve.simulation.compiled import of_problem, padded
 from swerve.simulation.trajectory import Step, take_step
 from swerve.solvers.base import LearnOptions, Solver
 
@@ -265,11 +265,8 @@ def _take_steps(
     problem: Problem, states: np.ndarray, step: int, goal: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return next states, rewards and endings [N, A, ...] of all actions in states [N, n]."""
-    size = LEAST_PADDED
-    while size < len(states):
-        size *= 8  # few sizes, since each size is compiled
-    padded = np.resize(states, (size, states.shape[1]))
-    taken = _take_all(problem, jnp.asarray(padded), jnp.int32(step), jnp.asarray(goal, jnp.float32))
+    batch = jnp.asarray(padded(states, LEAST_PADDED))
+    taken = _take_all(problem, batch, jnp.int32(step), jnp.asarray(goal, jnp.float32))
     return tuple(np.asarray(column)[: len(states)] for column in taken)
 
 
