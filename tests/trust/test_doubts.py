@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from swerve.base.space import TWO_PI, Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import grid
-from swerve.trust.doubts import doubts
+from swerve.trust.doubts import _again, doubts
 
 DURATION = 0.5  # s, of the model's episodes: 5 steps of 0.1 s
 
@@ -180,6 +182,20 @@ def test_a_jump_back_to_the_start_may_be_another_recording(
     moved = doubts(dataclasses.replace(twice, times=None), untimed(evidence), 1)["move"]
     assert moved.startswith("jumps by 3 in x from row 200 to row 201, where")
     assert "back to its start. Several recordings in one file? Split it, one file each. H" in moved
+
+
+def test_copies_are_found_in_little_memory() -> None:
+    """The states of all demonstrations are not kept a second time."""
+    task = Task(*(part[1] for part in TASKS))
+    states = np.random.default_rng(0).normal(size=(40, 10_000, 2))
+    states[7] = states[3]
+    made = [Demonstration(f"demo_{k}", rows, task) for k, rows in enumerate(states)]
+    tracemalloc.start()
+    [warning] = _again(SimpleNamespace(demonstrations=made))  # pyright: ignore[reportArgumentType]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert warning.startswith("demo_3 is given 2 times (as demo_3, demo_7): ")
+    assert peak < states.nbytes / 10
 
 
 def test_the_same_demonstration_twice() -> None:

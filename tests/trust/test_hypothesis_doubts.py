@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -138,6 +139,15 @@ def test_cells_and_windows_outside_the_bounds() -> None:
     [text] = hypothesis_warnings(windows(x=(0.0, 14.0, 2.0), overlap=1), SPACE)
     assert text.startswith("hypothesis 6: wholly outside the bounds of x")
     assert not list(hypothesis_warnings(grid(x=(-1.0, 11.0, 4)), SPACE))
+
+
+def test_cells_within_the_bounds_take_no_memory() -> None:
+    cells = grid(theta=(0.0, TWO_PI, 500), x=(0.0, 10.0, 500))
+    tracemalloc.start()
+    assert not list(hypothesis_warnings(cells, SPACE))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < len(cells)  # not even a byte for each
 
 
 @pytest.mark.parametrize("name", ["pendulum", "car", "double-pendulum", "gridworld"])

@@ -8,6 +8,7 @@ Shapes: n state dimensions.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -149,10 +150,11 @@ def _doubts(inference: Ranking) -> Iterator[str]:
 
 def _again(inference: Ranking) -> Iterator[str]:
     """Yield a warning for demonstrations that were given more than once."""
-    found: dict[tuple[bytes, ...], list[str]] = {}
+    found: dict[bytes, list[str]] = {}
     for item in inference.demonstrations:
         parts = (item.states, item.task.start, item.task.goal)
-        found.setdefault(tuple(part.tobytes() for part in parts), []).append(item.name)
+        digest = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
+        found.setdefault(digest, []).append(item.name)
     for names in found.values():
         if len(names) > 1:
             yield (

@@ -59,11 +59,14 @@ def _outside(
     }
     if isinstance(hypotheses, BoxHypotheses):
         for axis, (name, (low, high)) in enumerate(hypotheses.edges().items()):
-            if name in bounds:
-                place = np.indices(hypotheses.shape)[axis].ravel()
-                is_out = (high <= bounds[name][0]) | (low > bounds[name][1])  # [low, high)
-                for index in np.flatnonzero(is_out[place]).tolist():
-                    yield index, name, float(low[place[index]]), float(high[place[index]])
+            if name not in bounds:
+                continue
+            is_out = (high <= bounds[name][0]) | (low > bounds[name][1])  # [low, high)
+            if not is_out.any():  # places are not worked out: there may be millions of hypotheses
+                continue
+            place = np.indices(hypotheses.shape)[axis].ravel()
+            for index in np.flatnonzero(is_out[place]).tolist():
+                yield index, name, float(low[place[index]]), float(high[place[index]])
         return
     for index in range(len(hypotheses)):
         each = [_beyond(part, bounds) for part in hypotheses.constraint(index).parts]
