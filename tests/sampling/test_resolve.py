@@ -222,12 +222,15 @@ def test_the_command_leaves_bounds_where_it_is_told_to(tmp_path: Path, run: Run)
     files = write_demonstrations(tmp_path / "made", [demonstration], rare_cart.mdp.space)
     ask = ("infer", f"{__file__}:rare_cart", *files, "--tasks", tmp_path / "made/tasks.csv")
     is_bound = []
-    for more in ((), ("--no-resolve",)):
+    for more in ((), ("--no-resolve", "--resolve-seconds", 1e-3)):
         settings = ("--solver", "grid?num_points=61", "--samples", 500, "--json")
         status, out, said = run(*ask, *settings, *more)
         assert status == 0, said
         [row] = [row for row in json.loads(out)["ranking"] if row["index"] == RARE]
         is_bound.append(row["is_lower_bound"])
+        told = "scores stay as the samples tell by --no-resolve; without this option they are"
+        assert (told in said) == bool(more)
+        assert not more or "--resolve-seconds" not in said  # more time would not help
     assert is_bound == [False, True]
 
 

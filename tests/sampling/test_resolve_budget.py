@@ -133,7 +133,7 @@ def test_only_what_was_tried_did_not_settle(
     assert f"Sampling with hypothesis {first} in force did not settle it" in warning
     named = "were not tried" if len(others) > 1 else "was not tried"
     assert f"hypothesis {others[0]}" in warning.split("did not settle it")[1]
-    assert f"{named} with the hypothesis in force: give more --resolve-seconds" in warning
+    assert f"{named} with the hypothesis in force: swerve.resolve does this" in warning
 
 
 def test_a_task_that_was_not_tried_is_left_open(

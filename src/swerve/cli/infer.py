@@ -81,8 +81,7 @@ def infer(
     evidence = _only(job.evidence(asked), None if found else asked)
     rank = partial(infer_constraints, demonstrations=found, score=score, **vars(judged))
     result = rank(evidence)
-    if not no_resolve:
-        result = rank(job.resolved(result, resolve_seconds))
+    result = _bounded(result) if no_resolve else rank(job.resolved(result, resolve_seconds))
     picks = None if greedy is None else _picks(job, result, greedy, threshold)
     _show(result, picks, report, as_json)
 
@@ -124,6 +123,24 @@ def _check_greedy(
         raise ValueError(f"--greedy: expected a number of picks >= 1, got {most}")
     if not demonstrations:
         raise ValueError("--greedy: constraints are picked from demonstrations: give at least one")
+
+
+def _bounded(result: Inference) -> Inference:
+    """Return the result as it is, and say which scores --no-resolve alone leaves open."""
+    from swerve.base.phrases import some_names
+    from swerve.base.solver_kinds import kind_stored
+    from swerve.inference.unresolved import worth_resolving
+
+    is_asked = result.demonstrations and result.score_name == "likelihood"
+    if is_asked and kind_stored(result.evidence.solver).adapts:
+        left = worth_resolving(result).tolist()
+        names = some_names([f"{k} ({result.hypothesis_name(k)})" for k in left])
+        if left:
+            say(
+                f"hardly any trajectory avoids {names}: scores stay as the samples tell by "
+                "--no-resolve; without this option they are worked out"
+            )
+    return result
 
 
 def _only(evidence: Evidence, tasks: Task | None) -> Evidence:

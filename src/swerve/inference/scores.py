@@ -128,8 +128,11 @@ class Scores:
 
     @cached_property
     def is_lower_bound(self) -> np.ndarray:
-        """[H] True where almost every nominal trajectory of a task enters, see `is_floored`."""
-        floored = self.evidence.is_floored & self.is_used
+        """[H] True where almost every nominal trajectory of a task enters, see `is_floored`.
+
+        A task counts only if one of its demonstrations avoids the hypothesis.
+        """
+        floored = self.evidence.is_floored & (self.counts.avoiding > 0)
         return np.asarray(floored.any(axis=0))
 
     @cached_property
@@ -140,11 +143,11 @@ class Scores:
         Z_0 is too uncertain: half of the allowed error may come from log Z_0.
         """
         evidence = self.evidence
-        able = (self.task_counts > 0) & ~evidence.has_too_few
+        able = ~evidence.has_too_few
         able &= evidence.log_partition_error < SETTLED / math.sqrt(2.0)
         untried = np.isnan(evidence.summary.log_ratio_error)
         is_open = evidence.standard_error > FEW_AVOID
-        is_open &= untried & able[:, None] & self.is_counted & ~self.struck_out
+        is_open &= untried & able[:, None] & (self.counts.avoiding > 0) & ~self.struck_out
         for index in np.flatnonzero(is_open.any(axis=0)).tolist():
             constraint = evidence.problem.hypotheses.constraint(index)
             is_open[:, index] &= ~constraint.contains(evidence.tasks.start, evidence.problem.space)

@@ -78,27 +78,28 @@ def resolve(
         number above 0.
     """
     check_process()
-    evidence, problem = inference.evidence, inference.evidence.problem
-    _check(nominal, evidence)
-    if not number_or_nan(seconds) > 0.0:
-        raise ValueError(f"seconds: expected a number of seconds > 0, got {seconds!r}")
+    evidence = inference.evidence
+    _check(nominal, evidence, seconds)
     seed, deadline = seed_number(seed), monotonic() + seconds
-    left, first = worth_resolving(inference), same_as(problem.hypotheses, problem.space)
+    left = worth_resolving(inference)
+    first = same_as(evidence.problem.hypotheses, evidence.problem.space)
     with progress_bar("resolving", len(left), progress) as advance:
         while len(left) and monotonic() < deadline:
-            is_open = inference.is_open[:, left[0]]
             alike = first == first[left[0]]  # the same set: one estimate, and one error, for all
-            alike &= (inference.is_open == is_open[:, None]).all(axis=0)
+            is_open = inference.is_open[:, left[0]]
+            alike &= (is_open == inference.is_open.T).all(axis=1)
             advance(0, note=f"hypothesis {left[0]}")
             evidence = _resolved(nominal, evidence, alike, is_open, seed, deadline)
             keep(evidence)
-            advance(int(np.count_nonzero(alike[left])))
+            advance(int(alike[left].sum()))
             left = left[~alike[left]]
     return evidence
 
 
-def _check(nominal: Nominal, evidence: Evidence) -> None:
-    """Raise ValueError if a nominal does not adapt, or is of another problem than evidence."""
+def _check(nominal: Nominal, evidence: Evidence, seconds: float) -> None:
+    """Raise ValueError if a nominal does not adapt or fit the evidence, or the time is not > 0."""
+    if not number_or_nan(seconds) > 0.0:
+        raise ValueError(f"seconds: expected a number of seconds > 0, got {seconds!r}")
     if not isinstance(nominal.solver, AdaptingSolver):
         adapting = ", ".join(solver_names(lambda kind: kind.adapts))
         raise ValueError(

@@ -17,12 +17,13 @@ from swerve.base.phrases import some_names
 from swerve.base.solver_kinds import kind_stored, solver_names
 from swerve.evidence.evidence import Evidence
 from swerve.inference.ranking import Ranking
+from swerve.inference.unresolved import worth_resolving
 
 
 def hardly_avoided(inference: Ranking) -> Iterator[str]:
     """Yield warnings about hypotheses that hardly any nominal trajectory avoids."""
     evidence, ranking = inference.evidence, inference.ranking
-    used = ((inference.task_counts > 0) & ~evidence.has_too_few)[:, None]
+    used = (inference.counts.avoiding > 0) & ~evidence.has_too_few[:, None]
     floored = evidence.is_floored & used
     in_vain = np.isposinf(evidence.summary.log_ratio_error) & used  # `resolve` failed
     bounds = ranking[floored[:, ranking].any(axis=0)]
@@ -63,11 +64,17 @@ def _in_vain(evidence: Evidence, tried: np.ndarray) -> str:
 
 
 def _left(inference: Ranking, bounds: np.ndarray) -> str:
-    """Return the text for bounds that `swerve.resolve` could replace and has not tried."""
-    left = bounds[inference.is_open[:, bounds].any(axis=0)]
-    if not (len(left) and kind_stored(inference.evidence.solver).adapts):
+    """Return the text for bounds that `swerve.resolve` would replace and has not tried.
+
+    The text leaves out bounds that can change nothing, such as of hypotheses that a tolerance keeps
+    far behind: `swerve.resolve` leaves these out too.
+    """
+    worth = set(worth_resolving(inference).tolist())
+    left = np.array([index for index in bounds.tolist() if index in worth], int)
+    is_able = kind_stored(inference.evidence.solver).adapts
+    if not (len(left) and is_able and inference.score_name == "likelihood"):
         return ""
     return (
         f". {_names(left)} {'was' if len(left) == 1 else 'were'} not tried with the hypothesis in "
-        "force: give more --resolve-seconds, or use swerve.resolve"
+        "force: swerve.resolve does this"
     )
