@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from swerve.cli.options import (
     AS_BEFORE,
     AsJson,
     Choices,
+    NamedWork,
     ProblemText,
     Seed,
     SolverName,
@@ -26,7 +26,7 @@ def learn(
     problem: ProblemText,
     /,
     *,
-    work: Path,
+    work: NamedWork,
     solver: SolverName = None,
     seed: Seed = None,
 ) -> None:
@@ -44,7 +44,7 @@ def sample(
     problem: ProblemText,
     /,
     *,
-    work: Path,
+    work: NamedWork,
     tasks: TasksFile = None,
     how: Choices = AS_BEFORE,
     as_json: AsJson = False,

@@ -30,9 +30,9 @@ TasksFile = Annotated[
     Path | None,
     Parameter(help="CSV or Parquet file with columns demo, start_STATE..., goal_STATE..."),
 ]
-WorkPath = Annotated[
-    Path | None, Parameter(help="Folder that keeps what was learned and sampled for the next call.")
-]
+WORK_HELP = "Folder that keeps what was learned and sampled for the next call."
+WorkPath = Annotated[Path | None, Parameter(help=WORK_HELP)]
+NamedWork = Annotated[Path, Parameter(help=WORK_HELP)]  # where a folder must be named
 SolverName = Annotated[
     str | None,
     Parameter(

@@ -5,14 +5,17 @@ from __future__ import annotations
 import io
 import sys
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from swerve.cli.options import (
     AS_BEFORE,
     AS_USUAL,
     Choices,
     Judging,
+    NamedWork,
     ProblemText,
-    TasksFile,
     asked_tasks,
     check_judging,
     open_work,
@@ -24,8 +27,15 @@ def watch(
     problem: ProblemText,
     /,
     *,
-    work: Path,
-    tasks: TasksFile = None,
+    work: NamedWork,
+    tasks: Annotated[
+        Path | None,
+        Parameter(
+            help="CSV or Parquet file with columns demo, start_STATE..., goal_STATE...; a "
+            "demonstration's id names its row, unless there is only one row. [default: the task "
+            "that the work folder holds, if there is only one]"
+        ),
+    ] = None,
     how: Choices = AS_BEFORE,
     judged: Judging = AS_USUAL,
 ) -> None:
@@ -35,10 +45,6 @@ def watch(
     of the states; {"end": true, "id": "a"} ends a demonstration. A line that cannot be used is
     answered with its error, and changes nothing; a blank line is passed over.
     Before the first line, learns whatever the work folder does not hold yet.
-
-    Args:
-      tasks: CSV or Parquet file; a demonstration's id names its row, unless there is only one row.
-        [default: the task that the work folder holds, if there is only one]
     """
     from swerve.base.space import Task
     from swerve.cli.json_lines import Watch, answer_lines
