@@ -38,13 +38,6 @@ dtypes = st.one_of(
 )
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    path = tmp_path / "evidence.swerve"
-    store.write(path, KIND, VERSION, HEADER, ARRAYS)
-    return path
-
-
 def write_zip(path: Path, members: dict[str, bytes | str]) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in members.items():

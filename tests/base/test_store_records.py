@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.stored_files import ARRAYS, HEADER, KIND, VERSION, flips, refuses
+from support.stored_files import flips, refuses
 
 from swerve.base import store
 
@@ -22,13 +22,6 @@ json_data = st.recursive(
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
     max_leaves=10,
 )
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    path = tmp_path / "evidence.swerve"
-    store.write(path, KIND, VERSION, HEADER, ARRAYS)
-    return path
 
 
 @given(data=json_data)

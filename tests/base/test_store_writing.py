@@ -24,13 +24,6 @@ from swerve.base import files, store
 NOBODY = 65534
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    path = tmp_path / "evidence.swerve"
-    store.write(path, KIND, VERSION, HEADER, ARRAYS)
-    return path
-
-
 @contextmanager
 def without_privileges() -> Iterator[Path]:
     """Yield a folder that others own, seen by a user whom permission bits bind."""

@@ -13,6 +13,7 @@ from support.plain_greedy import Plain, made_up
 from support.synthetic import (
     SPACE,
     TASKS,
+    copied,
     evidence_of_columns,
     make_demonstration,
     make_evidence,
@@ -229,24 +230,11 @@ def test_nothing_that_gains_is_nothing_picked() -> None:
     assert greedy(struck) == []
 
 
-def copied(seed: int, num_copies: int) -> Inference:
-    """Of 800 trajectories, `num_copies` share an ancestor; half enter 5, and 0.3 of them 7."""
-    generator = np.random.default_rng(seed)
-    num = 800 // num_copies
-    columns = np.zeros((1, num, 10), bool)
-    columns[0, :, 5], columns[0, :, 7] = generator.random((2, num)) < [[0.5], [0.3]]
-    columns = columns.repeat(num_copies, axis=1)
-    evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)))
-    ancestor = np.arange(800)[None] // num_copies * num_copies
-    samples = evidence.samples._replace(ancestor=ancestor)
-    evidence = make_evidence(evidence.problem, samples, evidence.tasks, "plain")
-    return infer(evidence, [make_demonstration()])
-
-
 @pytest.mark.parametrize("num_copies", [1, 10])
 def test_errors_are_how_far_gains_differ_when_sampled_again(num_copies: int) -> None:
     """Errors that took copies for independent would be less than a third of the spread."""
-    found = [greedy(copied(seed, num_copies), threshold=0.1, most=2) for seed in range(200)]
+    evidence = [copied(seed, num_copies, "plain") for seed in range(200)]
+    found = [greedy(infer(x, [make_demonstration()]), threshold=0.1, most=2) for x in evidence]
     assert all([pick.hypothesis for pick in picks] == [5, 7] for picks in found)
     for place in range(2):
         spread = np.std([picks[place].gain for picks in found], ddof=1)

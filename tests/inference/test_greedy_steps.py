@@ -31,13 +31,6 @@ from swerve.solvers.exact.tabular import TableNominal
 from swerve.systems.gridworld import cell_box
 
 
-@pytest.fixture(scope="module")
-def nominal() -> TableNominal:
-    found = learn(PROBLEM, "tabular")
-    assert isinstance(found, TableNominal)
-    return found
-
-
 def test_picks_raise_the_likelihood_most_and_take_it_off_the_divergence(
     nominal: TableNominal,
 ) -> None:

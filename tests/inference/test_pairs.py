@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.plain_greedy import NUM_HYPOTHESES, Plain, made_up
 from support.synthetic import evidence_of_columns, make_demonstration
-from support.walks import PROBLEM, ROUND, TASK
+from support.walks import ROUND, TASK
 
 from swerve import (
     Box,
@@ -88,13 +88,6 @@ def test_two_may_explain_together_what_greedy_selection_misses() -> None:
     share = found.log_partition - inference.evidence.log_partition
     assert share[0] == pytest.approx(math.log(0.01))
     assert found.log_likelihood > sum(p.gain for p in greedy(inference, most=2)) + 0.5
-
-
-@pytest.fixture(scope="module")
-def nominal() -> TableNominal:
-    found = learn(PROBLEM, "tabular")
-    assert isinstance(found, TableNominal)
-    return found
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.1])

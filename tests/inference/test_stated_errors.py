@@ -8,32 +8,18 @@ import math
 import numpy as np
 import pytest
 from support.small_mdps import Stroll
-from support.synthetic import evidence_of_columns, make_demonstration, make_evidence
+from support.synthetic import copied, evidence_of_columns, make_demonstration, make_evidence
 
 from swerve import Box, Evidence, Problem, Task, best_pair, greedy, grid, infer, learn, sample
 from swerve.evidence.samples import NUM_ISLANDS
 from swerve.solvers.base import Nominal
 
-CELLS = grid(x=(0.0, 10.0, 10))
 NUM_SEEDS = 50
 
 
 @pytest.fixture(scope="module")
 def walk() -> Nominal:
     return learn(Problem(Stroll(), [Box(x=(0.8, 4.0)), Box(x=(-4.0, -0.9))]), "grid?num_points=31")
-
-
-def copied(seed: int, num_copies: int) -> Evidence:
-    """Each 20th of 800 trajectories holds copies: half enter 5, 0.3 of them 7, nobody the rest."""
-    generator = np.random.default_rng(seed)
-    num = 800 // num_copies
-    columns = np.zeros((1, num, 10), bool)
-    columns[0, :, 5], columns[0, :, 7] = generator.random((2, num)) < [[0.5], [0.3]]
-    columns = columns.repeat(num_copies, axis=1)
-    evidence = evidence_of_columns(columns, CELLS, method="importance")
-    ancestor = np.arange(800)[None] // num_copies * num_copies
-    samples = evidence.samples._replace(ancestor=ancestor)
-    return make_evidence(evidence.problem, samples, evidence.tasks)
 
 
 @pytest.mark.parametrize("num_copies", [1, 10])
@@ -158,7 +144,7 @@ def resolved(seed: int, num_resolved: int) -> Evidence:
     generator = np.random.default_rng(seed)
     columns = np.zeros((1, 800, 10), bool)
     columns[0, :, 9] = generator.random(800) < 0.4
-    evidence = evidence_of_columns(columns, CELLS, method="importance")
+    evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)), "importance")
     scale = generator.normal(0.0, 0.4, NUM_ISLANDS).repeat(800 // NUM_ISLANDS)
     samples = evidence.samples._replace(log_correction=scale[None])
     evidence = make_evidence(evidence.problem, samples, evidence.tasks)

@@ -108,6 +108,22 @@ def evidence_of_columns(
     return make_evidence(record, samples, tasks, method, **changes)
 
 
+def copied(seed: int, num_copies: int, method: str = "importance") -> Evidence:
+    """Of 800 trajectories, `num_copies` share an ancestor; half enter 5, and 0.3 of them 7.
+
+    They enter none of the other eight hypotheses.
+    """
+    generator = np.random.default_rng(seed)
+    num = 800 // num_copies
+    columns = np.zeros((1, num, 10), bool)
+    columns[0, :, 5], columns[0, :, 7] = generator.random((2, num)) < [[0.5], [0.3]]
+    columns = columns.repeat(num_copies, axis=1)
+    evidence = evidence_of_columns(columns, grid(x=(0.0, 10.0, 10)), method)
+    ancestor = np.arange(800)[None] // num_copies * num_copies
+    samples = evidence.samples._replace(ancestor=ancestor)
+    return make_evidence(evidence.problem, samples, evidence.tasks, method)
+
+
 def make_demonstration(
     task: int = 0, name: str = "demo", x: float | None = None, num_states: int = 5
 ) -> Demonstration:
