@@ -108,9 +108,8 @@ def greedy(
     Args:
       inference: inference from `infer`; its tolerance, margin, clearance and prior hold for every
         pick. The trajectories of its evidence are reweighed for the picks in force. Ratios from
-        `resolve` count for the first pick; later picks use the trajectories alone. A hypothesis
-        whose prior is 0 is not picked, unless P(none) is 1: then all priors are 0, the odds are 0
-        too, and a threshold without odds may pick any hypothesis.
+        `resolve` count for the first pick; later picks use the trajectories alone. A hypothesis of
+        prior 0 is not picked, unless P(none) is 1 and there is a threshold without odds.
       nominal: if the evidence is exact, the nominal distribution that the evidence came from. It is
         solved again with the picks in force.
       threshold: least gain of a pick [nats per demonstration]. With a threshold the odds end
