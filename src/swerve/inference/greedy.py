@@ -120,8 +120,7 @@ def greedy(
       most: largest number of picks; no limit if None.
 
     Returns:
-      The picks, in order, and why picking ended. Warnings about the samples are in
-      `inference.warnings`.
+      The picks, in order, and why picking ended. `inference.warnings` has those about the samples.
 
     Raises:
       ValueError: if there is no demonstration, the threshold is no number >= 0, the odds are not
