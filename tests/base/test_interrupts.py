@@ -6,6 +6,7 @@ import gc
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,32 @@ def test_a_dropped_interrupt_comes_again(drop: Any, capsys: pytest.CaptureFixtur
         assert time.monotonic() - began < 19.0
     wait_for_interrupt(0.2)
     assert capsys.readouterr().err == ""
+
+
+def test_one_that_is_on_its_way_comes_before_the_block_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    kill, has_begun, is_over = signal.pthread_kill, threading.Event(), threading.Event()
+    came: list[str] = []
+
+    def kill_late(thread: int, number: int) -> None:
+        has_begun.set()
+        is_over.wait(0.5)
+        kill(thread, number)
+
+    monkeypatch.setattr(signal, "pthread_kill", kill_late)
+    try:
+        try:
+            with heeded():
+                Dropping()
+                has_begun.wait(20.0)
+        except KeyboardInterrupt:
+            came.append("in time")
+        is_over.set()
+        wait_for_interrupt(0.2)
+    except KeyboardInterrupt:
+        came.append("later")
+    assert came == ["in time"]
 
 
 def test_long_work_of_the_library_heeds_it() -> None:

@@ -27,7 +27,8 @@ _pending: list[None] = []  # an interrupt that is to come again
 _expected: list[None] = []  # interrupts that come again, told from new ones
 _asked: list[None] = []  # interrupts that were taken since `listen`
 _saving: list[None] = []  # blocks of `saving` that are open
-_before: list[Any] = []  # what took dropped errors before each block of `heeded`
+_open: list[object] = []  # blocks of `heeded` that are open
+_before: list[Any] = []  # what took dropped errors before the first of these
 
 
 @contextmanager
@@ -36,23 +37,36 @@ def heeded() -> Iterator[None]:
 
     None comes later than the end of the block.
     """
-    with _lock:
-        _before.append(sys.unraisablehook)
-        if len(_before) == 1:
-            sys.unraisablehook = _take_dropped
-    is_pending = False
+    block, is_due = object(), False
     try:
+        with _lock:
+            if not _open:
+                _before[:] = [sys.unraisablehook]
+                sys.unraisablehook = _take_dropped
+            _open.append(block)
         yield
     finally:
-        with _lock:
-            before = _before.pop()
-            if not _before:
-                is_pending = bool(_pending)
-                _pending.clear()
-                if sys.unraisablehook is _take_dropped:
-                    sys.unraisablehook = before
-    if is_pending:
+        is_due = _close(block)
+    if is_due:
         raise KeyboardInterrupt
+
+
+def _close(block: object) -> bool:
+    """Close a block of `heeded`, whatever comes meanwhile; return whether an interrupt is due."""
+    is_due = False
+    while True:
+        try:
+            with _lock:
+                if block in _open:
+                    _open.remove(block)
+                if not _open:
+                    is_due |= bool(_pending)
+                    _pending.clear()
+                    if sys.unraisablehook is _take_dropped:
+                        sys.unraisablehook = _before[0]
+            return is_due
+        except KeyboardInterrupt:  # such as one that was on its way while the lock was awaited
+            is_due = True
 
 
 @contextmanager
@@ -91,11 +105,12 @@ def _again(seconds: float) -> None:
 
 def _wait_and_ask(seconds: float) -> None:
     time.sleep(seconds)
-    if _pending:
-        _pending.clear()
-        _expected.append(None)
-        # a signal, since `_thread.interrupt_main` wakes no main thread that sleeps
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    with _lock:  # so that `heeded` ends before the interrupt is asked for, or after it has come
+        if _pending:
+            _pending.clear()
+            _expected.append(None)
+            # a signal, since `_thread.interrupt_main` wakes no main thread that sleeps
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
 def take(handler: Callable[[int, Any], None]) -> None:
