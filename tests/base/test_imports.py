@@ -19,19 +19,8 @@ from swerve.base import imports
 from swerve.problem.loading import canonical_problem, load_problem
 
 SHADOWS = (
-    *(
-        "jax",
-        "html",
-        "numpy",
-        "scipy",
-        "equinox",
-        "optax",
-        "polars",
-        "rich",
-        "matplotlib",
-        "cyclopts",
-    ),
-    *("msgspec", "random", "zoneinfo", "tensorflow", "colorama", "typing_extensions"),
+    *("jax", "html", "numpy", "scipy", "equinox", "optax", "polars", "rich", "matplotlib"),
+    *("cyclopts", "msgspec", "random", "zoneinfo", "tensorflow", "colorama", "typing_extensions"),
 )
 BEFORE_SWERVE = ("swerve", "types")  # `python -m` runs these before anything of Swerve, of itself
 PROBLEM, SETTINGS = "gridworld", ("--json",)
@@ -98,6 +87,30 @@ class TestLibraries:
         folder = shadowed(tmp_path / "here", others)
         (folder / "html.py").write_text(SCRIPT)
         assert answer(folder, sys.executable, "html.py") == expected
+
+
+AGAIN = """
+import json, sys
+import swerve.base.imports
+{change}
+import swerve.base.imports, swerve.base.space
+names = [getattr(finder, "__name__", "") for finder in sys.meta_path]
+print(json.dumps([names.count("PathFinder"), sys.meta_path[-1] is swerve.base.imports.PathFinder]))
+"""
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "import importlib; importlib.reload(swerve.base.imports)",
+        "for name in [*sys.modules]: name.startswith('swerve') and sys.modules.pop(name)",
+        "del sys.meta_path[-1]; swerve.base.imports._take_place()",
+    ],
+    ids=["reload", "anew", "without a finder"],
+)
+def test_the_module_may_be_run_again(change: str, tmp_path: Path) -> None:
+    """As by tools that reload what has changed; where there is no finder there is one again."""
+    assert answer(tmp_path, sys.executable, "-c", AGAIN.format(change=change)) == [1, True]
 
 
 READER = """

@@ -238,5 +238,12 @@ def _chosen_entries() -> list[str]:
     return [entry for entry in chosen if entry]
 
 
+def _take_place() -> None:
+    """Put the finder in the place of Python's own, or of an earlier one of this module."""
+    names = [getattr(finder, "__name__", "") for finder in sys.meta_path]
+    place = names.index("PathFinder") if "PathFinder" in names else len(names)
+    sys.meta_path[place : place + 1] = [PathFinder]
+
+
 _OWN = _own_folders()
-sys.meta_path[sys.meta_path.index(machinery.PathFinder)] = PathFinder
+_take_place()
