@@ -170,6 +170,20 @@ def test_a_command_ends_with_130_in_one_line(caught: str, twice: bool) -> None:
     assert errors == ("" if twice else "interrupted\n")
 
 
+def test_without_standard_error_nothing_is_written_into_another_file() -> None:
+    """Which may have its number by then."""
+    code = (
+        "import os, tempfile; from swerve.base.interrupts import leave\n"
+        "file = tempfile.TemporaryFile()\n"
+        "os.dup2(file.fileno(), 2); print('go', flush=True)\n"
+        "os._exit = lambda status: print(status, os.fstat(2).st_size)\n"
+        "leave()\n"
+    )
+    command = ["sh", "-c", 'exec "$0" -c "$1" 2>&-', sys.executable, code]
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True, timeout=30)
+    assert done.stdout == "go\n130 0\n"
+
+
 SAVING = """
 import sys, time
 from pathlib import Path

@@ -129,14 +129,23 @@ def test_a_long_step_is_not_silent(
     assert capsys.readouterr().err == ""
 
 
-def test_a_log_that_was_closed_stops_no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", ["closed", "none"])
+def test_a_log_that_was_closed_stops_no_work(
+    kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With 2>&- there is none from the start."""
     monkeypatch.setattr(progress, "FIRST_LINE", 0.0)
     closed = io.StringIO()
     closed.close()
-    with progress_bar("resolving", 2, enabled=True) as advance:
-        monkeypatch.setattr(sys, "stderr", closed)
-        advance(1.0)
-        monkeypatch.undo()
+    with monkeypatch.context() as log:
+        if kind == "none":
+            log.setattr(sys, "stderr", None)
+        with progress_bar("resolving", 2, enabled=True) as advance:
+            if kind == "closed":
+                log.setattr(sys, "stderr", closed)
+            advance(1.0)
+            advance(1.0)
+    assert capsys.readouterr().out == ""
 
 
 def test_a_terminal_gets_a_bar(

@@ -24,6 +24,14 @@ def test_a_reader_that_stops_early_is_no_error(robot: str) -> None:
     process.stderr.close()
 
 
+def test_a_closed_standard_error_puts_no_messages_on_the_output(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    status, out, _ = run("infer", "pendulum", "--seed", -1)
+    assert (status, out) == (1, "")
+
+
 def test_importing_swerve_loads_nothing_heavy() -> None:
     code = (
         "import sys, swerve\n"

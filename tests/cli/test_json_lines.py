@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import sys
 from typing import Any
 
 import pytest
@@ -149,6 +150,12 @@ def answers(lines: list[bytes], watched: Watch | None = None) -> list[dict[str, 
     out = io.StringIO()
     answer_lines(io.BytesIO(b"\n".join(lines)), (watched or make_watch()).answer, out)
     return [json.loads(line) for line in out.getvalue().splitlines()]
+
+
+def test_without_standard_output_the_lines_are_taken_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)  # closed, as by >&-
+    watched, lines = make_watch(), [json.dumps({"end": True}), json.dumps(START)]
+    answer_lines(io.BytesIO("\n".join(lines).encode()), watched.answer, sys.stdout)
 
 
 @pytest.mark.parametrize(

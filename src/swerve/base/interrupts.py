@@ -142,5 +142,6 @@ def _interrupt(number: int, frame: Any) -> None:
 
 def leave(number: int = 0, frame: Any = None) -> None:
     """End the process at once, where nothing has begun or everything is done; for `take`."""
-    os.write(2, b"interrupted\n")
+    if sys.stderr is not None:  # else it is closed, and 2 may be any file by now
+        os.write(2, b"interrupted\n")
     os._exit(STATUS)

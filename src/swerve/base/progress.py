@@ -146,6 +146,8 @@ def _lines(description: str, total: float) -> Iterator[Advance]:
 
 
 def _say(text: str) -> None:
+    if sys.stderr is None:  # closed, as by 2>&-
+        return
     with contextlib.suppress(OSError, ValueError):  # a closed log stops no work
         sys.stderr.write(f"{shown(text)}\n")
         sys.stderr.flush()

@@ -153,15 +153,14 @@ def answer_lines(source: BinaryIO, answer: Callable[[str], dict[str, Any]], out:
     Args:
       source: states and ends of demonstrations, as they come.
       answer: returns the answer to a line, such as `Watch.answer`.
-      out: file to write answers to.
+      out: file to write answers to; None where standard output is closed.
     """
     for number, line in enumerate(_lines(source), 1):
         if not line.isspace():
             found = _answered(line, answer)
             if "error" in found:
                 found["line"] = number
-            out.write(json.dumps(found).replace("\x7f", "\\u007f") + "\n")
-            out.flush()
+            print(json.dumps(found).replace("\x7f", "\\u007f"), file=out, flush=True)
 
 
 def _answered(line: bytes, answer: Callable[[str], dict[str, Any]]) -> dict[str, Any]:

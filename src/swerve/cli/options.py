@@ -169,6 +169,8 @@ def asked_tasks(job: Work, demonstrations: list[Any], tasks: Path | None) -> Tas
 
 def say(text: str) -> None:
     """Print text to stderr; results alone go to stdout."""
+    if sys.stderr is None:  # closed, as by 2>&-: `print` would take stdout
+        return
     print(shown_lines(text), file=sys.stderr)
 
 
