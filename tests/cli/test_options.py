@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import re
 from pathlib import Path
 from typing import Any
 
@@ -45,23 +45,15 @@ TESTED: dict[str, dict[str, str]] = {  # the test that looks at what an option d
     "watch": {
         **dict.fromkeys(HOW, f"{WATCH}::test_learning_and_sampling"),
         "--tasks": f"{WATCH}::test_tasks",
-        **dict.fromkeys(
-            ("--prior-none", "--tolerance", "--margin", "--clearance"), f"{WATCH}::test_judging"
-        ),
+        **dict.fromkeys(JUDGED, f"{WATCH}::test_judging"),
     },
     "learn": dict.fromkeys(("--work", "--solver", "--seed"), f"{LEARNING}::test_learn"),
     "sample": dict.fromkeys((*HOW, "--tasks", "--json"), f"{LEARNING}::test_sample"),
     "demo": dict.fromkeys(("--work", "--report"), f"{EFFECTS}::test_demo"),
     "demonstrate": {
-        **dict.fromkeys(
-            ("--constraint", "--out", "--num", "--solver", "--seed"),
-            "cli/test_demonstrate_options::test_boltzmann",
-        ),
+        **dict.fromkeys(SAMPLED, "cli/test_demonstrate_options::test_boltzmann"),
         "--tasks": "cli/test_demonstrate::test_demonstrate_with_tasks_of_ones_own",
-        **dict.fromkeys(
-            ("--by", "--max-action", "--num-steps", "--goal-tolerance"),
-            "cli/test_demonstrate_options::test_optimal_control",
-        ),
+        **dict.fromkeys(CONTROLLED, "cli/test_demonstrate_options::test_optimal_control"),
     },
     "reproduce": {
         "--out": "reproduce/test_gridworld::test_command",
@@ -95,26 +87,45 @@ def test_each_option_has_a_test_of_its_effect() -> None:
     assert sorted(table) == sorted(OPTIONS)
 
 
-@pytest.mark.parametrize(("command", "option"), OPTIONS, ids=" ".join)
-def test_the_test_is_there_and_names_the_option(command: str, option: str) -> None:
-    """In the function itself, or in what its file fixes for several tests."""
-    file, *names = TESTED[command][option].split("::")
-    source = (TESTS / f"{file}.py").read_text()
-    body: Any = ast.parse(source)
+def text_of(place: str) -> str:
+    """Return the code of a test, with the fixtures, helpers and constants of its file it names."""
+    file, *names = place.split("::")
+    tree: Any = ast.parse((TESTS / f"{file}.py").read_text())
+    body = tree
     for name in names:
         (body,) = [node for node in body.body if getattr(node, "name", None) == name]
-    used = ast.get_source_segment(source, body) or ""
-    shared = [node for node in ast.parse(source).body if isinstance(node, ast.Assign)]
-    used += "".join(ast.get_source_segment(source, node) or "" for node in shared)
-    used += "".join(ast.unparse(node) for node in fixtures(source, used))
-    assert option in used
+    found, rest = [body], list(tree.body)
+    while used := [node for node in rest if any(defined(node) & named(one) for one in found)]:
+        found += used
+        rest = [node for node in rest if node not in found]
+    return "\n".join(map(ast.unparse, found))
 
 
-def fixtures(source: str, used: str) -> Iterator[ast.FunctionDef]:
-    """Yield the functions of a file that a piece of it names: fixtures and helpers."""
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.FunctionDef) and f"{node.name}" in used:
-            yield node
+def defined(node: ast.stmt) -> set[str]:
+    """Return the names that a function or an assignment of a file defines."""
+    if isinstance(node, ast.FunctionDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else []
+    return {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
+
+
+def named(body: ast.AST) -> set[str]:
+    """Return the names and the arguments in a piece of code: those of a test are fixtures."""
+    nodes = list(ast.walk(body))
+    arguments = {node.arg for node in nodes if isinstance(node, ast.arg)}
+    return arguments | {node.id for node in nodes if isinstance(node, ast.Name)}
+
+
+@pytest.mark.parametrize(("command", "option"), OPTIONS, ids=" ".join)
+def test_the_test_is_there_and_names_the_option(command: str, option: str) -> None:
+    """In the function itself, or in what it uses of its file."""
+    assert re.search(rf"{option}(?![\w-])", text_of(TESTED[command][option]))
+
+
+def test_what_a_test_does_not_use_does_not_count() -> None:
+    """Such as a constant of its file."""
+    assert "--solver" in text_of(f"{LEARNING}::test_infer")
+    assert "--solver" not in text_of(f"{JUDGING}::test_json")
 
 
 WORDS = {  # the least of each command, to which a bad value is added
