@@ -100,7 +100,7 @@ class TestJudging:
         assert violated == sorted(violated, reverse=True)
         assert (average["score"], ask()["score"]) == ("average", "likelihood")
 
-    def test_tasks(self, ask: Any, made: Any, run: Run, tmp_path: Path) -> None:
+    def test_tasks(self, ask: Any, made: Any, run: Run) -> None:
         """Of a demonstration alone the goal is its last state; the file says another one."""
         problem, _, files = made
         goals = [
@@ -143,7 +143,6 @@ class TestLearningAndSampling:
         words = (problem, files[0], "--tasks", files[0].parent / "tasks.csv", *OTHER)
         assert run("infer", *words, "--work", tmp_path / "w")[0] == 0
         check_sampled(tmp_path / "w", Evidence.load(first))
-        (tmp_path / "here").mkdir()
         assert not list(work.glob(f"{OTHER_FILE}*"))
 
     def test_fit_beta(self, made: Any, run: Run, tmp_path: Path) -> None:

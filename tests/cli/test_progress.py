@@ -17,10 +17,10 @@ TRAINING = "ppo?num_steps=64&num_lanes=8&segment=1&width=4&num_minibatches=1"
 
 
 def hurried(*words: object) -> tuple[str, list[str]]:
-    """Return the output and the lines of errors of a command whose lines come at once."""
+    """Return the output and the lines of errors of a command, with a line at each advance."""
     code = (
         "from swerve.base import progress\n"
-        "progress.FIRST_LINE = progress.LINE_INTERVAL = progress.HEARTBEAT = 0.05\n"
+        "progress.FIRST_LINE = progress.LINE_INTERVAL = progress.LINE_SHARE = 0.0\n"
         "from swerve.cli.app import main\nmain()\n"
     )
     done = subprocess.run(
