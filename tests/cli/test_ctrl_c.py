@@ -59,8 +59,9 @@ def arguments(tmp_path: Path, demonstrations: list[Path]) -> list[object]:
 @pytest.mark.slow
 def test_at_any_moment(arguments: list[object], tmp_path: Path) -> None:
     completed([*arguments, tmp_path / "first"])  # with everything still to be compiled
-    expected, seconds = completed([*arguments, tmp_path / "whole"])
-    moments, num_interrupted = random.Random(0), 0
+    expected, cold = completed([*arguments, tmp_path / "whole"])
+    _, warm = completed([*arguments, tmp_path / "whole"])
+    moments, num_interrupted, seconds = random.Random(0), 0, cold
     for k in range(NUM_MOMENTS):
         folder = tmp_path / f"work_{k // 4}"
         with started([*arguments, folder]) as run:
@@ -69,6 +70,7 @@ def test_at_any_moment(arguments: list[object], tmp_path: Path) -> None:
             _, errors = run.communicate(timeout=60)
         assert run.returncode in (0, 130), errors
         num_interrupted += run.returncode == 130
+        seconds = warm if run.returncode == 0 else seconds  # nothing is left to do
         assert "Traceback" not in errors
         assert "Exception ignored" not in errors
         if run.returncode == 130:
@@ -77,15 +79,22 @@ def test_at_any_moment(arguments: list[object], tmp_path: Path) -> None:
         assert left == []
         if k % 4 == 3:
             assert completed([*arguments, folder])[0] == expected
+            seconds = cold  # in the next folder
     assert num_interrupted >= NUM_MOMENTS // 3
     assert f'"index": {CONSTRAINT}' in expected
 
 
 def test_while_importing() -> None:
-    with started(["--version"]) as run:
-        run.send_signal(signal.SIGINT)
-        _, errors = run.communicate(timeout=30)
-    assert (run.returncode, errors) in ((130, "interrupted\n"), (0, ""))
+    """Where the machine is busy the signal may come late, but not each time."""
+    statuses = set()
+    for seconds in (0.0, 0.0, 0.01, 0.05):
+        with started(["--version"]) as run:
+            time.sleep(seconds)
+            run.send_signal(signal.SIGINT)
+            _, errors = run.communicate(timeout=30)
+        assert (run.returncode, errors) in ((130, "interrupted\n"), (0, ""))
+        statuses.add(run.returncode)
+    assert 130 in statuses
 
 
 def test_a_command_that_is_to_ignore_it_goes_on() -> None:
