@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import operator
 from collections.abc import Sequence
@@ -13,11 +12,6 @@ from typing import Any
 import numpy as np
 
 MOST_SEED = 2**32 - 1  # JAX takes the last 32 bits, so that larger seeds would be smaller ones
-
-
-def fields_of(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass alone: what is pickled, without what was computed since."""
-    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
 
 
 def whole_number(value: Any, name: str, least: int, most: int | None = None) -> int:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from swerve.base.arguments import fields_of
+from swerve.base.pickling import PickledByFields
 from swerve.base.space import Task
 from swerve.evidence import estimators
 from swerve.evidence.motion import Motion
@@ -28,7 +28,7 @@ MISSED_ERRORS = 10.0  # least errors that samples state: they must not miss more
 
 
 @dataclass(frozen=True, eq=False)
-class Quantities:
+class Quantities(PickledByFields):
     """Violation probabilities of every hypothesis under pi_0, for each of K tasks.
 
     `swerve.Evidence` describes the fields.
@@ -55,7 +55,7 @@ class Quantities:
 
     def __getstate__(self) -> dict[str, Any]:
         loaded = {"load_samples": partial(_given, self.samples), "load_reward": None}
-        return fields_of(self) | loaded
+        return super().__getstate__() | loaded
 
     @cached_property
     def samples(self) -> Samples:

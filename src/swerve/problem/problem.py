@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from swerve.base.arguments import fields_of, positive_number
+from swerve.base.arguments import positive_number
+from swerve.base.pickling import PickledByFields
 from swerve.constraints.base import Constraint, check_constraints
 from swerve.constraints.boxes import ActionBox
 from swerve.constraints.state_action import StateAction
@@ -37,7 +38,7 @@ OF_A_FILE = r"^(swerve_problem_.*)_[0-9a-f]{8}$"  # module of a user's file, wit
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(PickledByFields):
     """An MDP, hypothesised constraints, and the assumptions about the demonstrator.
 
     Attributes:
@@ -98,9 +99,6 @@ class Problem:
     def compiled(self) -> dict[Any, Callable[..., Any]]:
         """Functions that JAX compiled for this problem, by `simulation.compiled`."""
         return {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return fields_of(self)
 
     @property
     def record(self) -> ProblemRecord:

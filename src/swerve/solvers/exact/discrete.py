@@ -16,13 +16,13 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.base.arguments import fields_of, whole_number
+from swerve.base.arguments import whole_number
+from swerve.base.pickling import PickledByFields
 from swerve.base.progress import progress_bar
 from swerve.base.space import TWO_PI, StateSpace
 from swerve.problem.boundary import actions_of
@@ -197,7 +197,7 @@ def _held(problem: Problem, hold: int) -> Held:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldRewards:
+class HeldRewards(PickledByFields):
     """The rewards of actions that are held for some steps, as a function of the goal.
 
     Attributes:
@@ -209,9 +209,6 @@ class HeldRewards:
     problem: Problem
     centres: np.ndarray
     hold: int
-
-    def __getstate__(self) -> dict[str, Any]:
-        return fields_of(self)
 
     def __call__(self, goal: np.ndarray) -> np.ndarray:
         """Return the total rewards [S, A] for a goal [g].

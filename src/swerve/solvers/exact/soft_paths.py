@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from swerve.base.arguments import fields_of
+from swerve.base.pickling import PickledByFields
 from swerve.base.space import Task
 from swerve.evidence.exact import ExactAnswer, KeptTrajectories
 from swerve.evidence.samples import NUM_KEPT
@@ -70,7 +70,7 @@ class SoftPaths(Solver["PathNominal"]):
 
 
 @dataclass(frozen=True, eq=False)
-class PathNominal:
+class PathNominal(PickledByFields):
     """pi_0 on a table of states, over walks of any length.
 
     Attributes:
@@ -85,7 +85,7 @@ class PathNominal:
     _found: dict[tuple[int, ...], Walks] = dataclasses.field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return fields_of(self) | {"_found": {}}
+        return super().__getstate__() | {"_found": {}}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return no arrays: everything is computed from the problem."""

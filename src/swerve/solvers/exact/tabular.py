@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from swerve.base.arguments import fields_of
+from swerve.base.pickling import PickledByFields
 from swerve.base.space import Actions, Task
 from swerve.constraints.base import violates
 from swerve.demonstrations.demonstration import Demonstration
@@ -101,7 +101,7 @@ class States(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TableNominal:
+class TableNominal(PickledByFields):
     """pi_0 on a table of states, exactly.
 
     Attributes:
@@ -116,9 +116,6 @@ class TableNominal:
     solver: Any
     table: States
     rewards: Callable[[np.ndarray], np.ndarray]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return fields_of(self)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return no arrays: everything is computed from the problem."""

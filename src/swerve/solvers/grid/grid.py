@@ -26,14 +26,14 @@ import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from swerve.base.arguments import fields_of, whole_number
+from swerve.base.arguments import whole_number
+from swerve.base.pickling import PickledByFields
 from swerve.problem.problem import Problem
 from swerve.simulation.policies import CLOSED, FORBIDDEN, LookAhead, is_open, log_measure
 from swerve.solvers.base import AdaptingSolver, LearnOptions
@@ -140,14 +140,11 @@ class GridPolicy(LookAhead):
 
 
 @dataclass(frozen=True, eq=False)
-class GridNominal:
+class GridNominal(PickledByFields):
     """pi_0 by dynamic programming; the policy of a goal is computed when it is asked for."""
 
     problem: Problem
     solver: Grid
-
-    def __getstate__(self) -> dict[str, Any]:
-        return fields_of(self)
 
     @cached_property
     def grid(self) -> StateGrid:
