@@ -15,8 +15,8 @@ MUTANTS = (
     Mutant(
         "take resampled trajectories for independent ones",
         "evidence/samples.py",
-        "            estimate = estimate._replace(avoid_variance=of_islands.variance())",
-        "            pass",
+        "return estimate._replace(avoid_variance=of_islands.variance())",
+        "return estimate",
         "sampling/test_smc -k stated",
     ),
     Mutant(
