@@ -42,6 +42,7 @@ from swerve import (
 ERRORS, OF_ISLANDS = 5.0, 7.0
 SIZES = ((2, 5), (2, 6), (3, 4), (3, 5), (4, 3), (4, 4))  # A, T
 NUM = 2000  # trajectories of a task
+OPEN = range(8, 9)  # problems in which hardly any trajectory avoids a hypothesis
 THOROUGH = 1000  # problems from which on networks are trained as well
 ENOUGH = 200.0  # effective trajectories: with fewer, nothing is said of a task
 NODES = {1: 400, 2: 81, 3: 31}  # of a grid along each axis
@@ -124,6 +125,7 @@ def _resolved(
     """Compare ratios that were sampled with the constraint in force."""
     case = truth.case
     found = resolve(nominal, inferred(case, evidence), seed=seed)
+    note.true("resolve: nothing was open", bool(found.is_resolved.any()) or seed not in OPEN)
     for h in np.flatnonzero(found.is_resolved[0]).tolist():
         off = found.log_ratio[0, h] - truth.log_ratio[0, h]
         error = OF_ISLANDS * found.standard_error[0, h] + 0.01
@@ -147,7 +149,7 @@ def _rollouts(note: Differences, nominal: Nominal, truth: Answer, seed: int) -> 
         )
 
 
-@pytest.mark.parametrize("seeds", every(20)[: max(1, NUM_PROBLEMS // 100)], ids=str)
+@pytest.mark.parametrize("seeds", [OPEN, *every(20)[: max(1, NUM_PROBLEMS // 100)]], ids=str)
 def test_sampling_from_a_grid(seeds: range, tmp_path) -> None:
     over(seeds, lambda seed: compared(seed, tmp_path))
 
