@@ -33,6 +33,7 @@ MANY_TWICE = 0.25  # share of the rows: where more times occur twice, recordings
 # Limits beyond which a recorded state or demonstration is odd beside nominal trajectories of its
 # task. Odd data are not refused: `trust.doubts` warns, and a monitor flags the state.
 FAST = 3.0  # times the fastest nominal change of a state: more is a glitch or a wrong unit
+USUAL_ERRORS = 6.0  # times the usual error of a step of a demonstration: more is a glitch
 JITTER = 0.01  # share of the extent: two measurements of the same state may differ by so much
 TIME_SLACK = 0.1  # share of the duration: demonstrators may be so much quicker or slower
 COARSE = 1.5  # model steps between two states: with wider gaps, lines between them cut corners

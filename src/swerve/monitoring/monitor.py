@@ -41,7 +41,7 @@ from swerve.problem.record import ProblemRecord
 # nats: largest difference between log P_0(avoid c | s_0, goal) by evidence and by foresight, which
 # cannot estimate a probability such as exp(-20). Above, the foresight's own value is subtracted.
 AGREEMENT = 1.0
-MAX_HORIZONS = 1e5  # later times are of another clock, or broken: the next state would come earlier
+LAST_HORIZON = 1e5  # later times are of another clock, or broken: the next would come earlier
 
 
 class Belief(NamedTuple):
@@ -147,7 +147,7 @@ class Monitor:
 
         Raises:
           ValueError: if the state is not n finite numbers, or is so far outside the bounds that its
-            unit must be wrong; or the time is not finite, is negative, is MAX_HORIZONS horizons or
+            unit must be wrong; or the time is not finite, is negative, is LAST_HORIZON horizons or
             later, is `durations.MAX_HORIZONS` horizons after the last state, runs backwards, or is
             given for some states only: then the monitor has not changed. Or if no answer that the
             prior allows is left, or the foresight gives NaN: then the state has been taken in.
@@ -315,7 +315,7 @@ class Monitor:
         horizon = self._problem.num_steps * self._problem.dt
         elapsed = now - self._time if self._state else now
         is_late = self._problem.is_timed and is_too_long(elapsed, horizon)
-        if is_late or now >= MAX_HORIZONS * horizon:
+        if is_late or now >= LAST_HORIZON * horizon:
             hint = unit_hint if self._state else first_time_hint
             raise ValueError(
                 f"time: expected seconds since the start of the task, got {now:g} s, where the "

@@ -21,6 +21,7 @@ from swerve.demonstrations.checks import (
     RELATIVE,
     SPLIT,
     STRENGTH,
+    USUAL_ERRORS,
     restarts,
 )
 from swerve.demonstrations.demonstration import Demonstration
@@ -28,7 +29,6 @@ from swerve.evidence.motion import STRAYING, Motion, Steps
 from swerve.problem.record import ProblemRecord
 from swerve.trust.recorded import Finding, Recording, moving
 
-USUAL_ERRORS = 6.0  # times the median error of a demonstration: a larger one is a glitch
 LEAST_JUDGED = 0.5  # share of the steps that must lie near the bounds for a cause to be believed
 EXPLAINED = 0.1  # share of the motion that may stay impossible where a cause explains the rest
 FEW = 3  # impossible windows: with a single step that is far off, these are a glitch

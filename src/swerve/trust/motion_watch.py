@@ -14,12 +14,18 @@ import math
 import numpy as np
 
 from swerve.base.space import StateSpace
-from swerve.demonstrations.checks import FAST, IMPOSSIBLE_SHARE, JITTER, RELATIVE, STRENGTH
+from swerve.demonstrations.checks import (
+    FAST,
+    IMPOSSIBLE_SHARE,
+    JITTER,
+    RELATIVE,
+    STRENGTH,
+    USUAL_ERRORS,
+)
 from swerve.evidence.motion import MOST_WAVES, STRAYING, Motion
 
 LEAST_SUM = 0.1  # share of the extent: shorter motions tell too little while noise is not known
 LEAST_BAD = 2  # impossible sums of one component: a single one may be a glitch
-USUAL_ERRORS = 6.0  # times the usual error of a step: a larger one is a glitch
 MEMORY = 0.95  # share of the usual error that stays with each step
 NOISE = 2.0  # times JITTER: what glitches must exceed at first, while noise is not known
 
