@@ -120,6 +120,22 @@ class TestSideOfAnEdge:
             assert not by_jax(lambda s, r=region: r.contains(s, space), states).any()
             assert region.contains(np.array([800.0, 0.02 if region is square else 0.0]), space)
 
+    @pytest.mark.parametrize(("x", "width"), [(5.2e6, 4.0), (48.0, 3e-5)])
+    def test_small_regions_where_float32_is_coarse_keep_most_of_their_width(
+        self, x: float, width: float
+    ) -> None:
+        """Metres of a map grid, and degrees of latitude."""
+        space = StateSpace(("x", "y"), (), np.array([[x - 50 * width, x + 50 * width]] * 2))
+        low, high = x - width / 2, x + width / 2
+        middle = np.array([x, x])
+        for region in (
+            Ball(width / 2, x=x, y=x),
+            Polygon([(low, low), (high, low), (high, high), (low, high)]),
+        ):
+            assert region.contains(middle, space)
+            assert region.crosses(middle - [width, 0.0], middle + [width, 0.0], space)
+            assert not region.contains(middle + [width, 0.0], space)
+
     def test_narrow_windows_have_the_edges_of_boxes(self) -> None:
         slid = windows(x=(0.0, 1.0, 0.02), overlap=4)
         listed = ConstraintHypotheses([slid.constraint(k) for k in range(len(slid))])

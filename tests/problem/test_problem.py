@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -62,3 +64,31 @@ class TestProblem:
 def test_one_constraint_in_the_place_of_a_list(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Problem(**({"mdp": Cart(), "hypotheses": grid(x=(0.0, 1.0, 2))} | settings))
+
+
+class Windy(Bare):
+    """Its dynamics call what they were given."""
+
+    wind: Callable = None  # pyright: ignore
+
+    def dynamics(self, state, action):
+        return super().dynamics(state, action) + self.wind(state)
+
+
+class Breeze:
+    """An object that can be called."""
+
+    def __call__(self, state):
+        return 0.1 * state
+
+
+def gust(state, speed):
+    return speed * state
+
+
+def test_parameters_that_can_be_called() -> None:
+    """Named functions, functions with some arguments given, and objects of a class."""
+    winds = [Breeze(), partial(gust, speed=0.1), partial(gust, speed=0.2)]
+    digests = [Problem(Windy(wind=wind), ANGLES).record.mdp_digest for wind in winds]
+    assert len(set(digests)) == 3
+    assert Problem(Windy(wind=Breeze()), ANGLES).record.mdp_digest == digests[0]

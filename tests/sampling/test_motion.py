@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -50,6 +51,23 @@ def test_evidence_of_all_kinds_holds_the_motion(tmp_path: Path) -> None:
         assert read is not None
         for stored, known in zip(read, motion, strict=True):
             np.testing.assert_array_equal(stored, known)
+
+
+class Drifting(swerve.Pendulum):
+    """A wind turns it: code that no digest knows."""
+
+    wind: Callable = None  # pyright: ignore
+
+    def dynamics(self, state, action):
+        return super().dynamics(state, action) + self.dt * self.wind(state)
+
+
+def test_code_that_differs_has_another_motion() -> None:
+    cells = swerve.grid(omega=(-1.0, 1.0, 2))
+    winds = [partial(jnp.full_like, fill_value=speed) for speed in (1.0, -5.0)]
+    found = [motion_of(swerve.Problem(Drifting(wind=wind), cells)) for wind in winds]
+    forms = [motion.forms for motion in found if motion is not None]
+    assert np.abs(forms[0] - forms[1]).max() > 1.0
 
 
 def test_problems_of_one_mdp_share_its_motion() -> None:

@@ -41,6 +41,17 @@ def rounding(sizes: Any) -> Any:
     return 2.0**-22 * sizes
 
 
+def depth(resolution: float, width: float, size: float) -> float:
+    """Return how far inside the edge of a region, which adds numbers up, a state has to lie.
+
+    Args:
+      resolution: of the states.
+      width: of the region.
+      size: greatest number of the region: where float32 is coarse, an eighth of the width at most.
+    """
+    return max(fine(resolution, width), min(rounding(size), width / 8.0))
+
+
 def blur(edges: Any, resolution: float) -> np.ndarray:
     """Return by how much edges [...] are lowered: the resolution, or the spacing of float32."""
     size = np.where(np.isfinite(edges), np.abs(edges), 0.0).astype(np.float32)

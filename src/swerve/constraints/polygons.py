@@ -21,7 +21,7 @@ from swerve.base.space import StateSpace, single, wide
 from swerve.constraints import polygon_geometry
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import short
-from swerve.constraints.edges import fine, rounding
+from swerve.constraints.edges import depth
 from swerve.constraints.shapes import check_no_angles
 
 
@@ -152,7 +152,7 @@ class Polygon(Constraint):
         resolution = max(space.resolution[[*map(space.column, self.names)]])
         width = min(high - low for low, high in self._limits)
         size = float(np.abs(self.vertices).max())
-        return self.depth + max(fine(resolution, width), rounding(size))
+        return self.depth + depth(resolution, width, size)
 
     def _is_near(self, x: tuple[Any, Any], y: tuple[Any, Any]) -> Any:
         """Return [...] True where ranges (least, greatest) of x, y meet the polygon's rectangle."""

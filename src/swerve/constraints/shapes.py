@@ -25,7 +25,7 @@ from swerve.base.arguments import number_or_nan
 from swerve.base.space import TWO_PI, StateSpace, single, wide
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import call, short
-from swerve.constraints.edges import fine, rounding
+from swerve.constraints.edges import depth, fine, rounding
 
 
 class Ball(Constraint):
@@ -102,8 +102,7 @@ class Ball(Constraint):
         """Return the radius less the resolution, or the rounding of states near the ball."""
         resolution = max(space.resolution[[*map(space.column, self.centre)]])
         size = max(map(abs, self.centre.values())) + self.radius
-        resolution = max(fine(resolution, self.radius), rounding(size))
-        return max(0.0, self.radius - resolution)
+        return self.radius - depth(resolution, self.radius, size)
 
     def distance(self, states: np.ndarray, space: StateSpace) -> np.ndarray:
         """Return the Euclidean distance [...] of states [..., n], over the named states."""

@@ -16,7 +16,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -161,7 +161,7 @@ def _mdp_digest(mdp: MDP) -> str:
     parts = [f"{module}.{type(mdp).__qualname__}", _mdp_name(mdp)]
     for path, leaf in leaves:
         if callable(leaf):  # the bytes of a function are an address in memory
-            parts.append(f"{jax.tree_util.keystr(path)}{leaf.__module__}.{leaf.__qualname__}")
+            parts.append(f"{jax.tree_util.keystr(path)}{_name_of(leaf)}")
             continue
         array = plain_array(leaf)
         kind = str(array.dtype)
@@ -173,6 +173,14 @@ def _mdp_digest(mdp: MDP) -> str:
     parts += _static_fields(mdp, "")
     parts.append(np.asarray(actions_of(mdp), np.float64).tobytes().hex())
     return digest("\n".join(parts))
+
+
+def _name_of(code: Callable[..., Any]) -> str:
+    """Return the name of a function; of an object that can be called, that of its class."""
+    if isinstance(code, partial):
+        return f"{_name_of(code.func)}{code.args}{code.keywords}"
+    named = code if hasattr(code, "__qualname__") else type(code)
+    return f"{named.__module__}.{named.__qualname__}"
 
 
 def _static_fields(module: Any, path: str) -> list[str]:

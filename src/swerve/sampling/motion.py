@@ -6,13 +6,14 @@ Shapes: M states, K actions tried in each, n state dimensions, m action dimensio
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 import jax
 import numpy as np
 
 from swerve.evidence.motion import Motion, fit_motion
 from swerve.problem.boundary import actions_of
+from swerve.problem.mdp import MDP
 from swerve.problem.problem import Problem
 from swerve.simulation.compiled import of_problem
 from swerve.trust.own_motion import without_alarms
@@ -22,22 +23,22 @@ MOST_ACTIONS = 25  # actions tried in a state
 LEAST_FINITE = 0.5  # share of the states: with fewer finite ones, the fit would be of few places
 MOST_OWN, LEAST_OWN = 64, 8  # trajectories of the model that must not seem impossible
 OWN_STEPS = 12_800  # of these trajectories in all, if the least number of them does not have more
-_KNOWN: WeakKeyDictionary[type, tuple[str, Motion | None]] = WeakKeyDictionary()
-"""By class, the digest of the MDP that was learned last, and its motion."""
+_KNOWN: WeakKeyDictionary[type, tuple[ref[MDP], Motion | None]] = WeakKeyDictionary()
+"""By class, the MDP that was learned last, and its motion."""
 
 
 def motion_of(problem: Problem) -> Motion | None:
     """Return how the states of a problem move; None where its moves take no definite time.
 
-    Problems that differ in other things than the MDP, such as what is known, share the motion.
+    Problems with the same MDP, which differ in what is known, share the motion.
     """
-    mdp, digest = problem.mdp, problem.record.mdp_digest
+    mdp = problem.mdp
     if not mdp.is_timed or mdp.space.is_lattice:
         return None
-    known, motion = _KNOWN.get(type(mdp), ("", None))
-    if known != digest:
+    known, motion = _KNOWN.get(type(mdp), (None, None))
+    if known is None or known() is not mdp:
         motion = _learned(problem)
-        _KNOWN[type(mdp)] = digest, motion
+        _KNOWN[type(mdp)] = ref(mdp), motion
     return motion
 
 
