@@ -15,6 +15,7 @@ from swerve.base.space import TWO_PI, StateSpace, is_full_turn
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import Box
 from swerve.constraints.predicate import Predicate
+from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 
 DIGITS = 9  # significant digits in which two numbers must agree to count as the same
@@ -28,20 +29,29 @@ def same_as(hypotheses: HypothesisSet, space: StateSpace) -> np.ndarray:
     if not isinstance(hypotheses, ConstraintHypotheses):
         return np.arange(len(hypotheses))
     first: dict[Any, int] = {}
-    keys = (
-        frozenset(_key(part, space) for part in constraint.parts)
-        for constraint in hypotheses.constraints
-    )
+    keys = (_key(constraint, space) for constraint in hypotheses.constraints)
     return np.array([first.setdefault(key, index) for index, key in enumerate(keys)])
 
 
 def _key(constraint: Constraint, space: StateSpace) -> Any:
     """Return a key that is the same for constraints that are the same set."""
+    return frozenset(_key_of_part(part, space) for part in constraint.parts)
+
+
+def _key_of_part(constraint: Constraint, space: StateSpace) -> Any:
+    """Return such a key of a constraint that is no union."""
     if isinstance(constraint, Box):
         return ("box", *sorted(filter(None, _sides(constraint, space))))
     if isinstance(constraint, Predicate):
         return ("predicate", id(constraint.function), constraint.num_points)
-    return json.dumps(_rounded(constraint.to_json()), sort_keys=True)
+    if isinstance(constraint, StateAction):
+        return ("state_action", *(_key(c, space) for c in (constraint.states, constraint.actions)))
+    if constraint.needs_code:  # which its JSON data do not hold
+        return ("code", id(constraint))
+    data = constraint.to_json()
+    if data.get("kind") == "occupancy":
+        del data["name"]
+    return json.dumps(_rounded(data), sort_keys=True)
 
 
 def _sides(box: Box, space: StateSpace) -> Iterator[tuple[Any, ...] | None]:
