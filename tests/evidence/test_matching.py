@@ -49,6 +49,14 @@ def test_the_nearest_and_first_is_found(
     assert matching.find_each(record, known, nothing).shape == (0,)
 
 
+def test_equal_are_tasks_of_the_very_same_numbers() -> None:
+    near, goal = np.nextafter(1.0, 2.0), np.zeros((4, 1))
+    known = Task(np.array([[0.0], [1.0], [2.0], [3.0]]), goal)
+    tasks = Task(np.array([[2.0], [near], [1.0], [3.0]]), np.array([[0.0], [0.0], [0.0], [1e-9]]))
+    assert matching.find_equal(known, tasks).tolist() == [2, -1, 1, -1]
+    assert matching.find_equal(known, Task(np.zeros((0, 1)), goal[:0])).shape == (0,)
+
+
 @pytest.mark.parametrize("goal", GOALS)
 def test_each_joins_the_nearest_of_those_that_came_first(goal: str) -> None:
     record, num_joined = make_record(goal_names=GOALS[goal]), 0

@@ -7,13 +7,16 @@ import math
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.command import SOLVER
 from support.evidence_parts import assert_equal, resolved
-from support.synthetic import make_evidence, make_record
+from support.synthetic import TASKS, make_evidence, make_record
 
 from swerve.base import store
+from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
+from swerve.evidence.schema import StoredEvidence
 from swerve.work.folder import Reading, State, WorkFolder
 from swerve.work.settings import Settings
 from swerve.work.work import Work
@@ -108,6 +111,28 @@ class TestAddEvidence:
         mine, theirs = resolved(known, 0, 3), resolved(known, 1, 5)
         found = self.written(tmp_path, known, mine, theirs, make_evidence())
         assert_equal(found, resolved(resolved(make_evidence(), 0, 3), 1, 5))
+
+    def test_samples_are_read_once_however_often_ratios_are_added(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        known, parts, read = self.written(tmp_path, make_evidence()), [], StoredEvidence.read
+
+        def counting(self: StoredEvidence, part: str, *more: str) -> list[np.ndarray]:
+            parts.append(part)
+            return read(self, part, *more)
+
+        monkeypatch.setattr(StoredEvidence, "read", counting)
+        for hypothesis in (3, 5, 7):
+            known = resolved(known, 0, hypothesis)
+            found = self.written(tmp_path, known)
+        assert parts.count("samples") == 1
+        assert_equal(found, known)
+
+    def test_what_is_resolved_for_a_near_task_is_not_taken_over(self, tmp_path: Path) -> None:
+        """Its samples are others, and so is its Z_0."""
+        near = make_evidence(tasks=Task(TASKS.start + 1e-5, TASKS.goal))
+        found = self.written(tmp_path, make_evidence(), resolved(near, 0, 3))
+        assert_equal(found, make_evidence())
 
     @pytest.mark.parametrize("order", [1, -1])
     def test_what_is_resolved_goes_before_what_was_tried_in_vain(

@@ -9,6 +9,7 @@ Shapes: K tasks, N trajectories, H hypotheses, n states, g goal dimensions.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -112,10 +113,12 @@ class Evidence(Quantities):
     def with_resolved(self, other: Evidence) -> Evidence:
         """Return this evidence with the ratios that other evidence has resolved for its tasks.
 
+        Tasks that are only nearly the same do not count: a ratio belongs to the samples of a task.
+
         Args:
-          other: evidence by the same samples, of the same tasks or others.
+          other: evidence with the same problem and settings, of the same tasks or others.
         """
-        rows = matching.find_each(self.problem, other.tasks, self.tasks)
+        rows = matching.find_equal(other.tasks, self.tasks)
         mine, theirs = np.flatnonzero(rows >= 0), rows[rows >= 0]
         before, after = (
             evidence.summary.log_ratio_error[k] for evidence, k in ((self, mine), (other, theirs))
@@ -244,7 +247,7 @@ class Evidence(Quantities):
             solver=stored.header["solver"],
             seed=stored.header["seed"],
             summary=Summary(*checked.read("summary")),
-            load_samples=lambda: Samples(*checked.read("samples")),
+            load_samples=functools.cache(lambda: Samples(*checked.read("samples"))),
             load_reward=lambda: checked.read("samples", "total_reward")[0],
             sampling_beta=stored.header["sampling_beta"],
             motion=Motion(*checked.read("motion")) if "motion" in checked.parts else None,

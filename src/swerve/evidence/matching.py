@@ -60,6 +60,22 @@ def find_each(problem: ProblemRecord, known: Task, tasks: Task) -> np.ndarray:
     return numbers
 
 
+def find_equal(known: Task, tasks: Task) -> np.ndarray:
+    """Return for each task the index [D] of a known task of the very same numbers; -1 if none is.
+
+    Samples depend on the numbers of their task, so that no other task has the same samples.
+
+    Args:
+      known: starts [K, n] and goals [K, g].
+      tasks: starts [D, n] and goals [D, g].
+    """
+    of_known, of_tasks = (
+        [row.tobytes() for row in np.hstack(each).astype(float)] for each in (known, tasks)
+    )
+    index = {numbers: k for k, numbers in enumerate(of_known)}
+    return np.array([index.get(numbers, -1) for numbers in of_tasks], int)
+
+
 def group_each(problem: ProblemRecord, tasks: Task) -> np.ndarray:
     """Return for each task the index [D] of an earlier task that is the same, or its own index.
 
