@@ -124,7 +124,7 @@ def test_recordings_that_begin_at_other_times_are_told_by_another_column(tmp_pat
 
 
 def written(path: Path, **columns: np.ndarray | list) -> Path:
-    """A file with states that lie still and these columns."""
+    """A file with states that lie still, unless they are given, and these columns."""
     num = len(next(iter(columns.values())))
     table = {"x": [0.0] * num, "v": [0.0] * num, **{k: list(c) for k, c in columns.items()}}
     if path.suffix == ".parquet":
@@ -144,9 +144,9 @@ NAMES = (
     "run#",
     "trajectoryId",
     "recording-number",
-    "persons",
+    "persons_id",
     "ep_idx",
-    "seq",
+    "seq_name",
 )
 
 
@@ -164,8 +164,9 @@ NAMES = (
 def test_a_column_that_numbers_recordings_tells_them(
     tmp_path: Path, name: str, values: np.ndarray | list, told: str, suffix: str
 ) -> None:
-    """Whether times go on from recording to recording, or there are none."""
-    for number, times in enumerate(({}, {"t": np.arange(len(values)) / 10})):
+    """Whether times go on from recording to recording, while states jump, or there are none."""
+    x = np.unique(values, return_inverse=True)[1] / 10.0
+    for number, times in enumerate(({}, {"t": np.arange(len(values)) / 10, "x": x})):
         path = written(tmp_path / f"{number}{suffix}", **{name: values, **times})
         with pytest.raises(ValueError, match="several recordings in one file: split") as caught:
             read_demonstrations([path], SPACE)
@@ -196,6 +197,82 @@ def test_one_recording_and_columns_of_something_else(
 ) -> None:
     [item] = read_demonstrations([written(tmp_path / f"a{suffix}", **{name: values})], SPACE)
     assert item.states.shape == (40, 2)
+
+
+T = np.arange(200) / 10
+SMOOTH = np.sin(T / 4.0)
+ROW = np.arange(200)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize(
+    ("name", "values", "is_told"),
+    [
+        ("seq", ROW // 5, False),  # of a slower sensor
+        ("seq", ROW % 64, False),  # a number that wraps
+        ("sequence", ROW // 5, True),
+        ("run", ROW // 50 % 2, False),
+        ("human", ROW // 100, False),
+        ("driver", ["yes"] * 90 + ["no"] * 110, False),
+        ("user", ["On", "off"] * 100, False),
+        ("objects", ROW // 70, False),  # counts
+        ("humans", ROW // 70, False),
+        ("agents", 1 + ROW // 30 % 4, False),
+        ("scene", ["hall"] * 90 + ["kitchen"] * 110, True),
+        ("object", ["none"] * 90 + ["cup"] * 60 + ["none"] * 50, True),
+        ("id", 256 + ROW % 3, True),  # of three messages in turn
+        ("track", 3 + ROW // 40 % 3, True),  # of whoever is nearest
+    ],
+)
+def test_times_and_states_that_go_on_are_one_recording(
+    tmp_path: Path, name: str, values: np.ndarray | list, is_told: bool, suffix: str
+) -> None:
+    path = written(tmp_path / f"a{suffix}", **{name: values, "t": T, "x": SMOOTH})
+    [item] = read_demonstrations([path], SPACE)
+    assert item.times is not None
+    assert len(item.notes) == is_told
+    for note in item.notes:
+        assert note.startswith(f"has {len(set(values))} values in column {name} (")
+        assert note.endswith(
+            "): if these are several recordings, split the file, one file for each value"
+        )
+
+
+@pytest.mark.parametrize(
+    ("values", "changes"),
+    [
+        (ROW // 100, {"x": np.tile(SMOOTH[:100], 2)}),  # back to the start
+        (ROW // 50, {"t": T + 2.0 * (ROW >= 100)}),
+        (ROW % 2, {"x": SMOOTH + ROW % 2}),  # two persons, row by row
+        (ROW // 3 % 2, {"x": SMOOTH + ROW // 3 % 2}),
+        (["1", *[""] * 99, "2", *[""] * 99], {"x": np.tile(SMOOTH[:100], 2)}),
+    ],
+)
+def test_times_go_on_and_states_or_times_jump_with_the_value(
+    tmp_path: Path, values: np.ndarray | list, changes: dict[str, np.ndarray]
+) -> None:
+    columns = {"person": values, "t": T, "x": SMOOTH, **changes}
+    with pytest.raises(ValueError, match=r"column person has . values .*: split it, one file for"):
+        read_demonstrations([written(tmp_path / "a.csv", **columns)], SPACE)
+
+
+@pytest.mark.parametrize("row", [50, 100])
+def test_a_jump_within_a_recording_says_nothing_of_its_labels(tmp_path: Path, row: int) -> None:
+    """Nor does one at a change of a label that comes back."""
+    glitch = SMOOTH + 1.5 * (row == ROW)
+    values = np.array([0, 2, 0, 3])[ROW // 50] if row == 100 else ROW // 100
+    path = written(tmp_path / "a.csv", person=values + 5, t=T, x=glitch)
+    [item] = read_demonstrations([path], SPACE)
+    assert item.notes[0].startswith("has ")
+
+
+def test_seconds_and_nanoseconds_from_0_are_no_recordings(tmp_path: Path) -> None:
+    """Nor are other parts of a time."""
+    for name in ("nanosecs", "nanosec", "nsec", "stamp.nanoseconds", "milliseconds", "usecs"):
+        parts = {"secs": ROW // 10, name: ROW % 10 * 100}
+        [item] = read_demonstrations([written(tmp_path / "a.csv", **parts)], SPACE)
+        assert item.times is None
+        assert "'secs'" in item.notes[0]
 
 
 def test_a_value_in_the_first_row_of_each_recording_alone(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from swerve.base.phrases import shown
 
 WORDS = "t|times?|(?:time)?stamps?|elapsed|clock|sec|secs|seconds?"
 SECONDS = "s|sec|secs|seconds?"
-OTHERS = "[mµun]s|msecs?|millis|nsecs?|nanos|mins?|minutes?|h|hours?"
+SMALLER = "[mµun]s|(?:[mµun]|milli|micro|nano)sec(?:ond)?s?|millis|micros|nanos"
+OTHERS = rf"{SMALLER}|mins?|minutes?|h|hours?"
 TIME = re.compile(rf"(?:{WORDS})(?:[ _]*[\[(]?(?:{SECONDS})[\])]?)?", re.IGNORECASE)
 OTHER_TIME = re.compile(rf"(?:{WORDS})[ _]*[\[(]?(?:{OTHERS})[\])]?", re.IGNORECASE)
 ALIKE = 0.75  # share of the letters that a misspelt name has in common with the name meant
@@ -25,12 +26,15 @@ LEAST_LETTERS = 3  # of a name: shorter names are like many others
 MOST_SECONDS = 1e11  # since 1970 this is the year 5138: larger numbers are of another unit
 RECORDING = re.compile(
     r"(?:(?:ep(?:isode)?|traj(?:ectory)?|track|agent|robot|run|demo(?:nstration)?|recording|trial"
-    r"|rollout|file|seq(?:uence)?|session|scenario|scene|subject|participant|person|human|user"
-    r"|player|ped(?:estrian)?|driver|vehicle|object)s?"
-    r"(?:[ _.-]*(?:ids?|idx|index|num(?:ber)?|no|nr|name))?|ids?|uuid)#?",
+    r"|rollout|file|seq(?=.)(?:uence)?|session|scenario|scene|subject|participant|person|human|user"
+    r"|player|ped(?:estrian)?|driver|vehicle|object)"
+    r"(?:s?[ _.-]*(?:ids?|idx|index|num(?:ber)?|no|nr|name))?|ids?|uuid)#?",
     re.IGNORECASE,
 )
-"""Names of columns that say which recording a row is of, or whose."""
+"""Names of columns that say which recording a row is of, or whose.
+
+`seq` numbers messages, and `objects` may be a count.
+"""
 
 UNIT = re.compile(r"[\[(][^\])]*[\])]")
 
@@ -48,7 +52,7 @@ def can_be_seconds(values: np.ndarray) -> bool:
 
 def tells_recordings(name: str) -> bool:
     """Return whether a column of this name may tell recordings apart: hours and minutes do not."""
-    return not re.fullmatch(OTHERS, name, re.IGNORECASE)
+    return not re.search(rf"(?:^|[ _.])(?:{OTHERS})$", name, re.IGNORECASE)
 
 
 def names_recordings(name: str) -> bool:

@@ -2,7 +2,8 @@
 
 Files of robots and of pedestrians often hold several recordings, below one another or mixed, with a
 column that tells them apart. Such a file is refused, and that column is named: by its name, such as
-`episode_index`, or because times increase within each of its values.
+`episode_index`, or because times increase within each of its values. Where times go on through the
+whole file, a name alone is no proof: where the value changes, states or times have to jump.
 
 Shapes: L samples, n state dimensions, m action dimensions.
 """
@@ -18,6 +19,8 @@ import numpy as np
 from swerve.base.phrases import cut, shown, some_names
 from swerve.base.space import StateSpace
 from swerve.demonstrations.checks import (
+    FAR_BACK,
+    JITTER,
     SeveralRecordingsError,
     check_finite,
     check_path,
@@ -36,6 +39,9 @@ from swerve.demonstrations.tables import Table, rename_hint
 
 LEAST_ROWS = 5  # of each recording in a file, where no column tells them apart
 MAX_VALUE = 30  # characters of a value in a message
+LARGE_STEP = 0.98  # quantile of the steps of a recording: glitches make single steps larger
+MIXED = 0.5  # share of the changes of a value: mixed recordings jump at more of them
+FLAGS = {"true", "false", "yes", "no", "on", "off"}  # texts that number nothing
 SAME_START = 0.1  # of the shortest recording: the recordings in a file begin so nearly alike
 
 
@@ -64,8 +70,8 @@ def read_recording(path: Path, space: StateSpace, action_names: Sequence[str]) -
     missing = [name for name in absent if name != "t"]
     actions = None if missing else table.columns(action_names)
     table = table._replace(values=table.values[:0].copy())  # frees the memory of a large file
-    _check_recording(path, table, states, times, time_name, space)
     notes = notes_on_columns(table.unread, absent)
+    notes += _check_recording(path, table, states, times, time_name, space)
     if len(missing) == len(action_names):
         return Recording(states, times, None, notes)
     if actions is None:
@@ -120,8 +126,12 @@ def _check_recording(
     times: np.ndarray | None,
     time_name: str,
     space: StateSpace,
-) -> None:
-    """Check states and times; where they are of several recordings, name what tells them apart."""
+) -> tuple[str, ...]:
+    """Check states and times; where they are of several recordings, name what tells them apart.
+
+    Returns:
+      Notes on columns that may tell recordings apart, in words that follow the name of the file.
+    """
     named = shown(time_name)
     try:
         check_path(states, times, space, str(path), line_of=table.line_of, time_name=named)
@@ -130,11 +140,18 @@ def _check_recording(
         if not name:
             raise
         raise ValueError(f"{error}. The column {shown(name)} tells them apart") from error
-    _check_alone(path, table.unread, space.names[0])
+    notes = _check_alone(path, table.unread, states, times, space)
     check_states(states, times, space, str(path), line_of=table.line_of, time_name=named)
+    return notes
 
 
-def _check_alone(path: Path, names: Sequence[str], state: str) -> None:
+def _check_alone(
+    path: Path,
+    names: Sequence[str],
+    states: np.ndarray,
+    times: np.ndarray | None,
+    space: StateSpace,
+) -> tuple[str, ...]:
     """Raise ValueError where a column numbers the recordings in a file, and there are several.
 
     A column with another value in each row, or in nearly each, numbers the rows.
@@ -142,24 +159,61 @@ def _check_alone(path: Path, names: Sequence[str], state: str) -> None:
     Args:
       path: the file.
       names: columns that may number recordings.
-      state: name of a state.
+      states: [L, n] states.
+      times: [L] times that strictly increase, or None.
+      space: the state space.
+
+    Returns:
+      Notes on columns that may, and need not, number recordings.
     """
+    notes = []
     for name in filter(names_recordings, names):
-        found, num_rows = _values(path, name, state)
-        if 1 < len(found) <= (num_rows + 1) / 2:
-            texts = [x if isinstance(x, str) else f"{x:.15g}" for x in found]
-            told = some_names([cut(shown(text), MAX_VALUE) for text in texts])
+        found, group = _values(path, name, space.names[0])
+        if not 1 < len(found) <= (len(group) + 1) / 2:
+            continue
+        told = some_names([cut(shown(text), MAX_VALUE) for text in found])
+        if times is None or _are_apart(group, states, times, space):
             raise ValueError(
                 f"{path}: column {shown(name)} has {len(found)} values ({told}), so there are "
                 "several recordings in one file: split it, one file for each value. If the column "
                 "says something else, leave it out or rename it"
             )
+        if not {"0", "1"}.issuperset(found):
+            notes.append(
+                f"has {len(found)} values in column {shown(name)} ({told}): if these are several "
+                "recordings, split the file, one file for each value"
+            )
+    return tuple(notes)
 
 
-def _values(path: Path, name: str, state: str) -> tuple[Sequence[str] | np.ndarray, int]:
-    """Return the values of a column, each once and none for blanks, and the number of rows.
+def _are_apart(group: np.ndarray, states: np.ndarray, times: np.ndarray, space: StateSpace) -> bool:
+    """Return whether states [L, n] or times [L] jump where the group [L] of the rows changes.
 
-    There are no values where the column says yes or no.
+    One jump will do where each group is one block of rows. Where groups come back, the label of one
+    recording changes again and again, and most changes have to be jumps.
+    """
+    order = np.argsort(group, kind="stable")
+    is_same = np.diff(group[order]) == 0
+    before, after = order[:-1][is_same], order[1:][is_same]
+    last = np.flatnonzero(np.diff(group))
+    with np.errstate(invalid="ignore", over="ignore"):  # states are checked later
+        within = space.relative_distance(states[before], states[after])
+        across = space.relative_distance(states[last], states[last + 1])
+    jumps = across > FAR_BACK * _large(within) + JITTER
+    if len(last) > group.max():
+        return bool(jumps.mean() > MIXED)
+    gaps = times[last + 1] - times[last] > FAR_BACK * _large(times[after] - times[before])
+    return bool((jumps | gaps).any())
+
+
+def _large(steps: np.ndarray) -> float:
+    return float(np.sort(steps)[int(LARGE_STEP * (len(steps) - 1))])
+
+
+def _values(path: Path, name: str, state: str) -> tuple[list[str], np.ndarray]:
+    """Return the values of a column, each once, and the number [L] of the value in each row.
+
+    A blank cell repeats the value above it. There are no values where the column says yes or no.
 
     Args:
       path: the file.
@@ -168,15 +222,28 @@ def _values(path: Path, name: str, state: str) -> tuple[Sequence[str] | np.ndarr
     """
     try:
         numbers = read_table(path, [state], optional=[name]).columns([name])[:, 0]
-        return np.unique(numbers[~np.isnan(numbers)]), len(numbers)
     except ValueError:  # texts, or blank cells
         pass
+    else:
+        each = np.unique(numbers[~np.isnan(numbers)])
+        group = np.where(np.isnan(numbers), -1, np.searchsorted(each, numbers))
+        return [f"{value:.15g}" for value in each], _filled(group)
     try:
         texts = read_table(path, [state], label=name).labels
     except ValueError:  # yes or no
-        return [], 0
-    found = [text for text in dict.fromkeys(texts) if text]
-    return ([] if {text.casefold() for text in found} <= {"true", "false"} else found), len(texts)
+        return [], np.zeros(0, int)
+    index: dict[str, int] = {}
+    group = np.array([index.setdefault(text, len(index)) if text else -1 for text in texts], int)
+    is_flag = FLAGS.issuperset(text.casefold() for text in index)
+    return [] if is_flag else list(index), _filled(group)
+
+
+def _filled(group: np.ndarray) -> np.ndarray:
+    """Return numbers [L] in which each -1 is replaced by the number before it, or the first one."""
+    known = np.flatnonzero(group >= 0)
+    if not len(known):
+        return group
+    return group[known][np.maximum(np.searchsorted(known, np.arange(len(group)), "right") - 1, 0)]
 
 
 def _telling_column(path: Path, names: Sequence[str], times: np.ndarray) -> str:
