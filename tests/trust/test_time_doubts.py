@@ -54,7 +54,30 @@ def test_minutes_and_a_horizon_too_short(evidence: Evidence) -> None:
     assert short.endswith("another unit of t? The times may be minutes: give them in seconds")
     long = doubts(timed(4.0), evidence, 0)
     assert long["duration"] == f"lasts 12 s, {LASTS}"
-    assert long["rate"].startswith("has states up to 0.2 s apart, where the model steps every 0.05")
+    assert long["rate"].startswith("has states up to 0.2 s apart, where the model steps")
+
+
+@pytest.mark.parametrize("duration", [0.05, 0.3, 0.5])
+def test_a_demonstration_cut_short_has_no_coarse_rows(evidence: Evidence, duration: float) -> None:
+    """Nor are its times minutes, unless they would then be as long as a demonstration."""
+    item = drive()
+    assert item.times is not None
+    num = round(duration / DT) + 1
+    part = Demonstration("cut", item.states[:num], item.task, item.times[:num])
+    found = doubts(part, evidence, 0)
+    assert "cut short, or another unit of t?" in found["duration"]
+    assert ("minutes" in found["duration"]) == (duration == 0.05)
+    assert "rate" not in found
+
+
+def test_a_long_recording_of_coarse_rows_is_not_of_milliseconds(evidence: Evidence) -> None:
+    """Where 150 s of an episode of 3 s are recorded, with rows 0.2 s apart, they are too coarse."""
+    item = dataclasses.replace(drive(12.5), times=np.linspace(0.0, 150.0, 751))
+    found = doubts(item, evidence, 0)
+    assert found["duration"] == f"lasts 150 s, {LASTS}"
+    assert found["rate"].startswith(
+        "has states up to 0.2 s apart, where the model steps every 0.05"
+    )
 
 
 def test_times_that_count_the_rows(evidence: Evidence) -> None:

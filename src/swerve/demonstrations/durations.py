@@ -21,8 +21,9 @@ UNITS = {
 }
 """Units that times may be in where seconds are expected, and how many are a second."""
 
-FARTHEST = 1.5  # decades, between two units of the SI: no unit explains what is further off
-
+# Decades: no unit explains a duration that is further off.
+FARTHEST_SMALLER = 0.7  # demonstrators take up to five times as long as expected, or a fifth
+FARTHEST_LARGER = 0.5  # for minutes and hours: demonstrations that are cut short are brief as well
 
 FIRST_CLOCK, LAST_CLOCK = 1e9, 4e9  # s since 1970: from 2001 to 2096
 
@@ -43,7 +44,8 @@ def likely_unit(duration: float, expected: float) -> str:
     decades = math.log10(duration) - math.log10(expected)  # their ratio might overflow
     away = {unit: abs(decades - math.log10(number)) for unit, number in UNITS.items()}
     unit = min(away, key=lambda unit: away[unit])
-    return unit if away[unit] < min(abs(decades), FARTHEST) else ""
+    farthest = FARTHEST_SMALLER if UNITS[unit] > 1.0 else FARTHEST_LARGER
+    return unit if away[unit] < farthest else ""
 
 
 def unit_hint(duration: float, expected: float) -> str:

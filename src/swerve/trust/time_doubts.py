@@ -138,18 +138,20 @@ def _jump(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
 def _coarse(demonstration: Demonstration, evidence: Evidence, task: int) -> str:
     """Return that the rows are too far apart for straight lines between them; '' if they are not.
 
-    Times that seem to be of another unit are taken for that unit; those that count the rows, in
-    episodes that would be too long, for steps of the model.
+    Times that seem to be of a smaller unit are taken for that unit; those that count the rows, in
+    episodes that would be too long, for steps of the model. Times that seem to be minutes may be
+    seconds of a demonstration that was cut short.
     """
     problem, times = evidence.problem, demonstration.times
     if times is None or not problem.between_states:
         return ""
     unit = _unit(times, evidence, task)
-    widest = float(np.diff(times).max()) / UNITS.get(unit, 1.0)
+    in_second = max(UNITS.get(unit, 1.0), 1.0)
+    widest = float(np.diff(times).max()) / in_second
     is_long = _duration(times) > (1.0 + TIME_SLACK) * _longest(evidence)
     if widest <= COARSE * problem.dt or (is_long and _counts_rows(times, problem.dt)):
         return ""
-    given = f", if its times are {unit}" if unit else ""
+    given = f", if its times are {unit}" if in_second > 1.0 else ""
     return (
         f"has states up to {widest:.3g} s apart{given}, where the model steps every "
         f"{problem.dt:.3g} s: {CUTS}"
