@@ -39,7 +39,7 @@ class TestWords:
 
     def test_a_warning_that_asks_ends_in_its_question_mark(self) -> None:
         item = make_demonstration(0)
-        times = np.linspace(0.0, 60.0, len(item.states))
+        times = np.linspace(0.0, 0.8, len(item.states))  # no unit explains it
         result = infer(make_evidence(), [dataclasses.replace(item, times=times)])
         assert result.warnings[-1].endswith("?")
         said = texts(plot_inference(result)).replace("\n", " ")

@@ -171,15 +171,25 @@ def test_a_method_that_cannot_be_traced_is_told_by_its_line(reward: Any, advice:
         Problem(made(reward=reward), ANGLES)
 
 
-@pytest.mark.parametrize("value", [-1e39, np.float64(1e39), np.full(2, 1e300)])
+@pytest.mark.parametrize("value", [1e39, np.float64(1e39), np.full(2, 1e300)])
 def test_numbers_beyond_float32_are_told_without_a_warning_of_libraries(value: Any) -> None:
     rewards = made(reward=lambda self, state, *_: jnp.where(state[0] > 0, np.sum(value), 0.0))
-    for mdp in (rewards, made(dynamics=lambda self, state, action: np.zeros(2) + value)):
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            with pytest.raises(ValueError, match="expected numbers that float32 holds,"):
+    for mdp in (rewards, made(dynamics=lambda self, state, action: np.zeros(2) - value)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(ValueError, match=r"finite numbers, .*inf.*holds at most 3.4e38"):
                 Problem(mdp, ANGLES)
-        assert not caught
+
+
+@pytest.mark.parametrize("most", [1e300, np.finfo(float).max])
+def test_guards_beyond_float32_are_infinite(most: float) -> None:
+    rewards = made(reward=lambda self, state, *_: jnp.maximum(-state[0], -most))
+    far = made(reward=lambda self, state, *_: jnp.where(state[0] > 50.0, -most, -state[0]))
+    moves = made(dynamics=lambda self, state, action: jnp.clip(0.9 * state, -most, most))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for mdp in (rewards, far, moves):
+            Problem(mdp, ANGLES)
 
 
 def test_a_reward_in_brackets_is_refused_by_its_shape() -> None:

@@ -48,14 +48,15 @@ def _wrapped(method: Any, name: str) -> Callable[..., Any]:
     def wrapper(self: Any, *arguments: Any, **named: Any) -> Any:
         bound = method.__get__(self, type(self)) if hasattr(method, "__get__") else method
         origin = f"{type(self).__name__}.{name}"
-        try:
-            value = bound(*arguments, **named)
-        except Exception as error:
-            mended = untraceable(error)
-            if not mended:
-                raise
-            raise BoundaryError(f"{origin}: {mended}") from error
-        return cast(value, origin)
+        with np.errstate(over="ignore"):  # 1e300 becomes infinite, which guards may do
+            try:
+                value = bound(*arguments, **named)
+            except Exception as error:
+                mended = untraceable(error)
+                if not mended:
+                    raise
+                raise BoundaryError(f"{origin}: {mended}") from error
+            return cast(value, origin)
 
     vars(wrapper)["_casts"] = True
     return wrapper
