@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from swerve.base import interrupts
 from swerve.base.interrupts import heeded
 from swerve.base.progress import progress_bar
 
@@ -95,6 +96,44 @@ def test_one_that_is_on_its_way_comes_before_the_block_ends(
     except KeyboardInterrupt:
         came.append("later")
     assert came == ["in time"]
+
+
+class InterruptedLock:
+    """Stands in for the lock: Ctrl-C comes as it is awaited at the end of the block."""
+
+    def __init__(self) -> None:
+        self.num_awaited = 0
+
+    def __enter__(self) -> None:
+        self.num_awaited += 1
+        if self.num_awaited == 2:
+            raise KeyboardInterrupt
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_one_at_the_end_of_the_block_outdoes_another_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work(error: type[Exception] | None) -> None:
+        with heeded():
+            if error is not None:
+                raise error
+
+    for error in (None, ValueError):
+        monkeypatch.setattr(interrupts, "_lock", InterruptedLock())
+        with pytest.raises(KeyboardInterrupt):
+            work(error)
+    monkeypatch.undo()
+
+
+def test_a_dropped_one_outdoes_another_error() -> None:
+    def work() -> None:
+        with heeded():
+            Dropping()
+            raise ValueError
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
 
 
 def test_long_work_of_the_library_heeds_it() -> None:

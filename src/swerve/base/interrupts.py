@@ -35,9 +35,9 @@ _before: list[Any] = []  # what took dropped errors before the first of these
 def heeded() -> Iterator[None]:
     """Raise a KeyboardInterrupt anew that a callback has dropped while the block runs.
 
-    None comes later than the end of the block.
+    None comes later than the end of the block, also where the block ends by another error.
     """
-    block, is_due = object(), False
+    block = object()
     try:
         with _lock:
             if not _open:
@@ -46,9 +46,8 @@ def heeded() -> Iterator[None]:
             _open.append(block)
         yield
     finally:
-        is_due = _close(block)
-    if is_due:
-        raise KeyboardInterrupt
+        if _close(block):
+            raise KeyboardInterrupt
 
 
 def _close(block: object) -> bool:
