@@ -228,7 +228,7 @@ def test_the_command_leaves_bounds_where_it_is_told_to(tmp_path: Path, run: Run)
         assert status == 0, said
         [row] = [row for row in json.loads(out)["ranking"] if row["index"] == RARE]
         is_bound.append(row["is_lower_bound"])
-        told = "scores stay as the samples tell by --no-resolve; without this option they are"
+        told = "--no-resolve leaves their scores as bounds; without it they are worked out"
         assert (told in said) == bool(more)
         assert not more or "--resolve-seconds" not in said  # more time would not help
     assert is_bound == [False, True]

@@ -18,6 +18,7 @@ from support.reference import CART_TASK, short_cart
 
 from swerve import Box, Demonstration, Evidence, Nominal, Task, infer, learn, resolve, sample
 from swerve import write_demonstrations as write
+from swerve.inference.ranking import Ranking
 from swerve.inference.unresolved import worth_resolving
 from swerve.sampling import resolve as resolving
 from swerve.work.settings import Settings
@@ -114,6 +115,20 @@ def test_one_estimate_is_made_however_little_time_there_is(
     assert len(estimates.tried) == 1
 
 
+def test_one_estimate_is_made_where_choosing_it_takes_all_the_time(
+    nominal: Nominal, evidence: Evidence, estimates: Estimates, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slowly(ranking: Ranking) -> np.ndarray:
+        estimates.now += TAKES
+        return worth_resolving(ranking)
+
+    monkeypatch.setattr(resolving, "worth_resolving", slowly)
+    before = infer(evidence, waiting())
+    found = resolve(nominal, before, seconds=0.5 * TAKES)
+    assert estimates.tried == worth_resolving(before)[:1].tolist()
+    assert found.is_resolved.any()
+
+
 @pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan, "10", None])
 def test_a_time_that_is_none_is_refused(nominal: Nominal, evidence: Evidence, seconds: Any) -> None:
     with pytest.raises(ValueError, match="seconds: expected a number of seconds > 0, got"):
@@ -133,7 +148,8 @@ def test_only_what_was_tried_did_not_settle(
     assert f"Sampling with hypothesis {first} in force did not settle it" in warning
     named = "were not tried" if len(others) > 1 else "was not tried"
     assert f"hypothesis {others[0]}" in warning.split("did not settle it")[1]
-    assert f"{named} with the hypothesis in force: swerve.resolve does this" in warning
+    remedy = "swerve.resolve does this, and so does swerve infer without --no-resolve, as far as"
+    assert f"{named} with the hypothesis in force: {remedy} the time goes" in warning
 
 
 def test_a_task_that_was_not_tried_is_left_open(

@@ -137,8 +137,8 @@ def _bounded(result: Inference) -> Inference:
         names = some_names([f"{k} ({result.hypothesis_name(k)})" for k in left])
         if left:
             say(
-                f"hardly any trajectory avoids {names}: scores stay as the samples tell by "
-                "--no-resolve; without this option they are worked out"
+                f"hardly any trajectory avoids {names}: --no-resolve leaves their scores as "
+                "bounds; without it they are worked out"
             )
     return result
 

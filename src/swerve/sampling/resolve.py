@@ -29,6 +29,7 @@ from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
 from swerve.evidence.estimators import NothingLeftError
 from swerve.evidence.evidence import Evidence
+from swerve.evidence.samples import RESOLVED
 from swerve.hypotheses.same import same_as
 from swerve.inference.ranking import Ranking
 from swerve.inference.scores import SETTLED
@@ -84,7 +85,7 @@ def resolve(
     left = worth_resolving(inference)
     first = same_as(evidence.problem.hypotheses, evidence.problem.space)
     with progress_bar("resolving", len(left), progress) as advance:
-        while len(left) and monotonic() < deadline:
+        while len(left):
             alike = first == first[left[0]]  # the same set: one estimate, and one error, for all
             is_open = inference.is_open[:, left[0]]
             alike &= (is_open == inference.is_open.T).all(axis=1)
@@ -93,6 +94,8 @@ def resolve(
             keep(evidence)
             advance(int(alike[left].sum()))
             left = left[~alike[left]]
+            if monotonic() >= deadline:
+                break
     return evidence
 
 
@@ -135,14 +138,10 @@ def _resolved(
     chosen = evidence.select(tasks.tolist())
     log_ratio, error = _ratio(nominal, chosen, int(hypotheses[0]), seed, deadline)
     settled = np.isfinite(error)
-    columns = {
-        "avoid_probability": np.exp(log_ratio),
-        "avoid_variance": (np.exp(log_ratio) * error) ** 2,
-        "log_ratio": log_ratio,
-        "log_ratio_error": error,
-    }
-    changed = {name: getattr(evidence.summary, name).copy() for name in columns}
-    for name, values in columns.items():
+    ratio = np.exp(log_ratio)
+    columns = ratio, (ratio * error) ** 2, log_ratio, error
+    changed = {name: getattr(evidence.summary, name).copy() for name in RESOLVED}
+    for name, values in zip(RESOLVED, columns, strict=True):
         changed[name][np.ix_(tasks[settled], hypotheses)] = values[settled, None]
     changed["log_ratio_error"][np.ix_(tasks, hypotheses)] = error[:, None]
     return dataclasses.replace(evidence, summary=evidence.summary._replace(**changed))

@@ -76,5 +76,6 @@ def _left(inference: Ranking, bounds: np.ndarray) -> str:
         return ""
     return (
         f". {_names(left)} {'was' if len(left) == 1 else 'were'} not tried with the hypothesis in "
-        "force: swerve.resolve does this"
+        "force: swerve.resolve does this, and so does swerve infer without --no-resolve, as far "
+        "as the time goes"
     )
