@@ -6,12 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.motions import DT, cart_motion, cart_record, changed, drive
-from support.synthetic import make_evidence
+from support.motions import DT, FORCES, cart_motion, cart_record, changed, drive
+from support.synthetic import make_evidence, make_record
 
-from swerve.base.space import Task
+from swerve.base.space import TWO_PI, StateSpace, Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.evidence import Evidence
+from swerve.evidence.motion import fit_motion
+from swerve.hypotheses.grid import grid
 from swerve.trust.doubts import doubts
 
 LASTS = "and the model's episodes at most 3 s: another unit of t, or a horizon that is too short?"
@@ -126,6 +128,27 @@ def test_rows_without_times_that_may_be_steps(evidence: Evidence, rate: float) -
     assert "rate" not in doubts(drive(5.0), evidence, 0)
     unknown = dataclasses.replace(evidence, motion=None)
     assert "rate" not in doubts(dataclasses.replace(drive(5.0), times=None), unknown, 0)
+
+
+@pytest.mark.parametrize("num", [20, 60, 200])
+def test_noise_of_a_pendulum_at_rest_tells_no_rate(num: int) -> None:
+    space = StateSpace(("theta", "omega"), ("theta",), np.array([[0.0, TWO_PI], [-6.0, 6.0]]))
+
+    def step(states: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        theta, omega = states[..., 0], states[..., 1]
+        speed = omega + DT * (torque - 9.81 * np.sin(theta))
+        return np.stack(np.broadcast_arrays(theta + DT * omega, speed), axis=-1)
+
+    before = np.random.default_rng(0).uniform(*space.bounds.T, (900, 2))
+    motion = fit_motion(before, step(before[:, None], FORCES), space, DT)
+    cells = grid(theta=(0.0, 6.2, 4), omega=(-4.0, 4.0, 3))
+    record = make_record(space=space, goal_names=space.names, dt=DT, num_steps=60, hypotheses=cells)
+    for seed in range(5):
+        states = 0.1 * np.random.default_rng(seed).standard_normal((num, 2))
+        task = Task(states[0], states[-1])
+        found = make_evidence(record, tasks=Task(*(x[None] for x in task)))
+        found = dataclasses.replace(found, motion=motion)
+        assert "rate" not in doubts(Demonstration("rest", states, task), found, 0)
 
 
 def test_what_fits_no_rate_is_not_a_rate(evidence: Evidence) -> None:

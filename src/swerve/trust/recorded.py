@@ -26,6 +26,7 @@ from swerve.problem.record import ProblemRecord
 WINDOWS = (1, 4, 16, 64)  # rows
 LEAST_WINDOWS = 4  # of a demonstration: fewer windows say little
 FAR = 3.0  # half widths from the middle of the bounds: the fit says nothing of states beyond
+LEAST_ONWARD = 0.2  # correlation of successive changes: noise at rest has about -0.5
 TINY = 1e-300  # for sums of motions that may be 0
 
 
@@ -130,6 +131,27 @@ class Recording(NamedTuple):
         )
         size = np.maximum(np.abs(moved), np.abs(predicted)).sum()
         return float(np.abs(moved - predicted).sum() / max(size, TINY))
+
+
+def goes_on(states: np.ndarray, space: StateSpace) -> bool:
+    """Return whether a component of states [L, n] moves on, where noise goes back and forth.
+
+    At rest, each change of a noisy component tends to undo the one before, and so do changes between
+    means over windows of rows.
+    """
+    path = np.zeros(states.shape)
+    path[1:] = np.cumsum(space.difference(states[:-1], states[1:]), axis=0)
+    for width in WINDOWS:
+        starts = np.arange(0, len(path) - width + 1, width)
+        if width > 1 and len(starts) < LEAST_WINDOWS:
+            break
+        means = np.add.reduceat(path[: len(starts) * width], starts, axis=0) / width
+        moved = np.diff(means, axis=0)
+        is_far = np.ptp(means, axis=0) > LEAST_MOTION * space.extent
+        onward = (moved[1:] * moved[:-1]).sum(axis=0)
+        if (is_far & (onward > LEAST_ONWARD * (moved**2).sum(axis=0))).any():
+            return True
+    return False
 
 
 def _worst_window(

@@ -23,7 +23,7 @@ from swerve.demonstrations.checks import (
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.demonstrations.durations import UNITS, likely_unit
 from swerve.evidence.evidence import Evidence
-from swerve.trust.recorded import Recording, moving
+from swerve.trust.recorded import Recording, goes_on, moving
 
 FAST_SHARE = 0.9  # quantile of the speeds of steps: noise makes single steps fast
 
@@ -167,6 +167,8 @@ def _other_rate(demonstration: Demonstration, evidence: Evidence) -> str:
     steps = recording.steps
     shares = [recording.worst(x).share for x in (recording.model_steps, steps)]
     if not shares[0] > IMPOSSIBLE_SHARE >= shares[1]:  # a step will do, or no rate will
+        return ""
+    if not goes_on(states, problem.space):
         return ""
     apart = float(steps.duration.max())
     is_coarse = problem.between_states and apart > COARSE * problem.dt
