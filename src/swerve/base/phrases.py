@@ -51,12 +51,13 @@ def measured(value: float, error: float) -> str:
 def told_apart(value: float, other: float, digits: int) -> tuple[str, str]:
     """Return two numbers as texts of so many digits, or of as many more as tell them apart.
 
-    Numbers that agree in MOST_DIGITS digits have the same text.
+    Numbers that agree in MOST_DIGITS digits have the same text, of so many digits.
     """
-    texts = f"{value:.{digits}g}", f"{other:.{digits}g}"
-    if texts[0] != texts[1] or digits >= MOST_DIGITS:
-        return texts
-    return told_apart(value, other, digits + 1)
+    for enough in range(digits, MOST_DIGITS + 1):
+        texts = f"{value:.{enough}g}", f"{other:.{enough}g}"
+        if texts[0] != texts[1]:
+            return texts
+    return f"{value:.{digits}g}", f"{other:.{digits}g}"
 
 
 def counted(number: int, noun: str) -> str:
