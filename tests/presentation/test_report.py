@@ -30,9 +30,12 @@ from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
 from swerve.inference.greedy import greedy
+from swerve.inference.ranking import Ranking
 from swerve.presentation import html as hypertext
 from swerve.presentation import report
 from swerve.presentation.report import page, write_report
+from swerve.trust import verdicts
+from swerve.trust.sample_checks import Checks, sample_checks
 
 EVIL = """</td><script>alert("1")</script><b onmouseover='x'>&amp; $x_{"""
 
@@ -242,6 +245,18 @@ class TestTasks:
             assert float(row[6]) == pytest.approx(evidence.log_partition[task], abs=6e-3)
             assert float(row[7]) == pytest.approx(evidence.island_spread[task], abs=6e-4)
             assert row[8] == f"{evidence.distinct_share[task]:.0%}"
+
+    def test_samples_are_checked_once_for_all_tasks(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        checked: list[Ranking] = []
+
+        def counting(inference: Ranking) -> Checks:
+            checked.append(inference)
+            return sample_checks(inference)
+
+        monkeypatch.setattr(verdicts, "sample_checks", counting)
+        result = infer(make_evidence())
+        assert report._tasks(result).count("<tr") == 1 + 3
+        assert checked == [result]
 
     def test_low_samples_are_marked(self) -> None:
         few = make_evidence().summary._replace(effective_sample_size=np.array([5.0, 300, 300]))

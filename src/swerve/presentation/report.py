@@ -212,9 +212,10 @@ def _tasks(inference: Ranking) -> str:
     shown, ess = used, evidence.effective_sample_size
     if len(used) > MAX_TASKS:
         shown = np.sort(used[np.argsort(ess[used], kind="stable")[:MAX_TASKS]])
+    tasks = shown.tolist()
     rows = [
-        ("low" if evidence.has_too_few[task] else "", _task_cells(inference, task))
-        for task in shown.tolist()
+        ("low" if evidence.has_too_few[task] else "", _task_cells(inference, task, verdict))
+        for task, verdict in zip(tasks, verdicts.verdicts(inference, tasks), strict=True)
     ]
     head = (
         "demonstrations" if inference.demonstrations else "task",
@@ -232,13 +233,13 @@ def _tasks(inference: Ranking) -> str:
     return f"<h2>Tasks</h2>{table}{more}"
 
 
-def _task_cells(inference: Ranking, task: int) -> tuple[str, ...]:
+def _task_cells(inference: Ranking, task: int, verdict: str) -> tuple[str, ...]:
     """Return the cells of a task: its demonstrations, its verdict and its diagnostics."""
     evidence = inference.evidence
     ess, low = evidence.effective_sample_size[task], ", low" * bool(evidence.has_too_few[task])
     return (
         _demonstration_names(inference, task),
-        verdicts.verdict(inference, task),
+        verdict,
         html.vector(evidence.tasks.start[task]),
         html.vector(evidence.tasks.goal[task]),
         "exact" if evidence.is_exact else f"{ess:,.0f} of {evidence.num_trajectories:,}{low}",
