@@ -127,14 +127,14 @@ class TestSideOfAnEdge:
         """Metres of a map grid, and degrees of latitude."""
         space = StateSpace(("x", "y"), (), np.array([[x - 50 * width, x + 50 * width]] * 2))
         low, high = x - width / 2, x + width / 2
-        middle = np.array([x, x])
+        middle, aside = np.array([x, x]), np.array([width, 0.0])
         for region in (
             Ball(width / 2, x=x, y=x),
             Polygon([(low, low), (high, low), (high, high), (low, high)]),
         ):
             assert region.contains(middle, space)
-            assert region.crosses(middle - [width, 0.0], middle + [width, 0.0], space)
-            assert not region.contains(middle + [width, 0.0], space)
+            assert region.crosses(middle - aside, middle + aside, space)
+            assert not region.contains(middle + aside, space)
 
     def test_narrow_windows_have_the_edges_of_boxes(self) -> None:
         slid = windows(x=(0.0, 1.0, 0.02), overlap=4)

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import joblib
 import numpy as np
 import pytest
@@ -21,10 +22,17 @@ from support import workers
 from support.every_solver import GRID, TASK, TINY, push
 
 import swerve
+from swerve.base.store import StoreError
 from swerve.problem.loading import load_problem
 
 EVIDENCE = workers.made(0)
 NOMINAL: Any = swerve.learn(push(), GRID)
+
+
+def in_disc(states):
+    return jnp.sum(states**2, axis=-1) < 1.0
+
+
 TESTS = Path(__file__).parents[1]
 CONSTRAINTS = [
     swerve.Box(x=(0.0, 1.0)),
@@ -33,6 +41,9 @@ CONSTRAINTS = [
     swerve.Polygon([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ("x", "v")),
     swerve.Occupancy("map", [[True, False]], (0.0, 0.0), 0.5, ("x", "v")),
 ]
+
+
+DISC = swerve.Predicate("disc", in_disc)
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +114,16 @@ def test_every_public_value_is_pickled_and_copied(values: dict[str, Any]) -> Non
                 assert repr(again) == repr(value), name
 
 
+def test_the_error_of_a_damaged_file_is_pickled(tmp_path: Path) -> None:
+    """Else a pool of processes ends, or waits for ever, in place of telling it."""
+    (tmp_path / "damaged.evidence").write_bytes(b"x" * 50)
+    with pytest.raises(StoreError) as caught:
+        swerve.Evidence.load(tmp_path / "damaged.evidence")
+    again = sent(caught.value)
+    assert type(again) is StoreError
+    assert str(again) == str(caught.value)
+
+
 def test_what_was_pickled_gives_the_same_answers(values: dict[str, Any]) -> None:
     again = sent(values)
     for name in (name for name in values if name.startswith("Evidence")):
@@ -166,7 +187,7 @@ def test_processes_of_their_own_give_the_same(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore:.*fork:DeprecationWarning")
 class TestFork:
-    def test_what_runs_jax_is_refused_at_once(self) -> None:
+    def test_what_runs_jax_is_refused_at_once(self, tmp_path: Path) -> None:
         demonstrations = swerve.demonstrate(push(), swerve.Box(x=(-1.9, -1.5)), TASK)
         problem, inference = NOMINAL.problem, swerve.infer(EVIDENCE)
         calls = [
@@ -182,7 +203,11 @@ class TestFork:
             partial(swerve.foresee, NOMINAL, EVIDENCE),
             partial(swerve.Rollouts, NOMINAL),
             partial(swerve.draw_tasks, problem, 1),
+            partial(DISC.contains, np.zeros((1, 2)), problem.mdp.space),
+            partial(swerve.load_nominal, tmp_path / "nominal", problem),
         ]
+        swerve.save_nominal(tmp_path / "nominal", NOMINAL)
+        assert DISC.contains(np.zeros((1, 2)), problem.mdp.space).all()
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork")) as pool:
             found = [pool.submit(workers.outcome, call).result(timeout=60) for call in calls]
         for call, text in zip(calls, found, strict=True):
@@ -196,7 +221,7 @@ class TestFork:
 
     def test_a_fork_before_jax_has_run_is_free(self) -> None:
         code = (
-            "import os, sys, swerve, swerve.problem.forked\n"
+            "import os, sys, swerve, swerve.base.forked\n"
             "if child := os.fork():\n"
             "    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
             "from support.workers import sampled\n"

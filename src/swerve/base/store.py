@@ -48,6 +48,10 @@ class StoreError(ValueError):
 
     def __init__(self, path: AnyPath, problem: str, remedy: str) -> None:
         super().__init__(f"{path}: {problem}. The file was left as it was; {remedy}")
+        self._arguments = path, problem, remedy
+
+    def __reduce__(self) -> tuple[type[StoreError], tuple[AnyPath, str, str]]:
+        return StoreError, self._arguments  # an exception is made again from its message alone
 
 
 class StoredFile:

@@ -5,11 +5,13 @@ Shapes: n state dimensions, ... any batch dimensions.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from swerve.base.arguments import whole_number
+from swerve.base.forked import check_process
 from swerve.base.space import StateSpace, single, wide
 from swerve.base.user_code import untraceable
 from swerve.constraints.base import Constraint
@@ -40,6 +42,7 @@ class Predicate(Constraint):
         self._name = name
         self.function = function
         self.num_points = whole_number(num_points, f"Predicate {name!r}: num_points", 1)
+        self._needs_jax = False  # until it answers NumPy's arrays by one of JAX's
 
     def __repr__(self) -> str:
         """Return for example "Predicate('disc', in_disc, num_points=8)", without addresses."""
@@ -52,7 +55,15 @@ class Predicate(Constraint):
         return self._name
 
     def contains(self, states: Any, space: StateSpace) -> Any:
-        """Return [...] True where a state [..., n] lies in the set."""
+        """Return [...] True where a state [..., n] lies in the set.
+
+        Raises:
+          ValueError: if the function does not give one boolean a state.
+          RuntimeError: in a process that was forked after JAX had begun to run, if the function is
+            written with jax.numpy.
+        """
+        if self._needs_jax:
+            check_process()
         try:
             inside = self.function(single(states))
         except Exception as error:
@@ -69,6 +80,7 @@ class Predicate(Constraint):
                 f"Predicate {self.name!r}: expected one boolean a state, shape "
                 f"{states.shape[:-1]}, got {kind} of shape {shape}"
             )
+        self._needs_jax |= "jax" in sys.modules and isinstance(inside, sys.modules["jax"].Array)
         return inside
 
     def crosses(self, starts: Any, ends: Any, space: StateSpace) -> Any:

@@ -24,13 +24,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swerve.base.arguments import instance, number_or_nan
+from swerve.base.forked import check_process
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.estimators import HOTTEST, least_effective
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.samples import islands
 from swerve.fitting.rewards import total_rewards
 from swerve.inference.ranking import Ranking
-from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 
 ROUNDING = 1e-5  # relative difference up to which total rewards, sums in float32, are the same

@@ -20,11 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from swerve.base.forked import check_process
 from swerve.base.space import Task
 from swerve.demonstrations.demonstration import Demonstration
 from swerve.evidence.matching import group_each
 from swerve.fitting.steps import LEAST_PADDED, Steps, at_states, steps_taken
-from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 from swerve.simulation.compiled import of_problem, padded
 from swerve.systems.tabular import TabularMDP

@@ -24,12 +24,12 @@ import optax
 from jaxtyping import Array
 
 from swerve.base.arguments import instance, seed_number, whole_number
+from swerve.base.forked import check_process
 from swerve.base.progress import Advance, progress_bar
 from swerve.base.solver_kinds import solver_names
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.bits import select, unpack
 from swerve.monitoring.foresight import Ahead, Foresight, Inputs, hidden_sizes
-from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 from swerve.problem.record import ProblemRecord
 from swerve.sampling.labelled_states import LabelledStates, labelled_states

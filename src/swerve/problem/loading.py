@@ -23,8 +23,8 @@ from weakref import WeakKeyDictionary
 
 from swerve.base import imports
 from swerve.base.files import open_regular
+from swerve.base.forked import check_process
 from swerve.base.specification import Specification, build
-from swerve.problem.forked import check_process
 
 SHIPPED = {
     "car": "swerve.systems.car:car",

@@ -23,9 +23,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from swerve.base.arguments import number_or_nan, real_numbers, whole_number
+from swerve.base.forked import check_process
 from swerve.base.space import StateSpace, Task
 from swerve.problem.boundary import BoundaryError, actions_of, cast_methods
-from swerve.problem.forked import check_process
 
 
 class _StateNames:

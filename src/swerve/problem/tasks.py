@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from swerve.base.arguments import instance, real_numbers, seed_number
+from swerve.base.forked import check_process
 from swerve.base.space import Task
 from swerve.constraints.base import Constraint
 from swerve.demonstrations.checks import check_bounds
-from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 
 NUM_CANDIDATES = 20  # tasks sampled per task asked for: some start in a constraint

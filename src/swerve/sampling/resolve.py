@@ -24,6 +24,7 @@ from time import monotonic
 import numpy as np
 
 from swerve.base.arguments import number_or_nan, seed_number
+from swerve.base.forked import check_process
 from swerve.base.progress import progress_bar
 from swerve.base.solver_kinds import solver_names
 from swerve.base.space import Task
@@ -34,7 +35,6 @@ from swerve.hypotheses.same import same_as
 from swerve.inference.ranking import Ranking
 from swerve.inference.scores import SETTLED
 from swerve.inference.unresolved import worth_resolving
-from swerve.problem.forked import check_process
 from swerve.sampling.sample import sample
 from swerve.solvers.base import AdaptingSolver, Nominal
 

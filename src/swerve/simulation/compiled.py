@@ -15,7 +15,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from swerve.problem.forked import check_process
+from swerve.base.forked import check_process
 from swerve.problem.problem import Problem
 
 MOST = 64  # compiled functions that a problem keeps: policies without a common form may be many

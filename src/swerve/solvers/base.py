@@ -16,10 +16,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkabl
 
 import numpy as np
 
+from swerve.base.forked import check_process
 from swerve.base.interrupts import heeded
 from swerve.base.solver_kinds import SolverKind, kind_named
 from swerve.base.space import Task
-from swerve.problem.forked import check_process
 from swerve.problem.problem import Problem
 from swerve.simulation.trajectory import Policy
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from swerve.base import schema, store
 from swerve.base.arguments import instance, seed_number
+from swerve.base.forked import check_process
 from swerve.base.solver_kinds import KINDS, check_solver_name, suggested_solver
 from swerve.base.space import Task
 from swerve.base.specification import Specification, build
@@ -117,7 +118,9 @@ def load_nominal(path: str | Path, problem: Problem) -> Nominal:
     Raises:
       store.StoreError: if the file is cut short, altered, of another kind, version or problem, or
         holds what no nominal distribution holds.
+      RuntimeError: in a process that was forked after JAX had begun to run.
     """
+    check_process()
     stored = store.open_file(path, KIND, VERSION)
     header = schema.checked(path, stored.header, NominalData)
     if header.problem != problem.record.fingerprint:

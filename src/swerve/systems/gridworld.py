@@ -89,7 +89,7 @@ class Gridworld(TabularMDP):
 
     state_names = ("x", "y")
     action_names = ("dx", "dy")
-    actions = jnp.array(list(MOVES.values()), jnp.float32)
+    actions = np.array(list(MOVES.values()), np.float32)
 
     def __check_init__(self) -> None:
         """Raise ValueError where the world has no cell, or a given cell is not in the world."""
