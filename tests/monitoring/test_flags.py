@@ -47,7 +47,7 @@ def test_odd_states_are_flagged_and_the_monitor_goes_on() -> None:
 
 
 UNTIMED = "no times: another rate than the model's?"
-OTHER_UNIT = "times of another unit, such as milliseconds"
+OTHER_UNIT = "times of another unit: milliseconds?"
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e6])
@@ -56,7 +56,8 @@ def test_times_of_another_unit_are_flagged(scale: float) -> None:
     monitor = make_monitor(slow_evidence())
     assert monitor.observe(START, 0.0).flags == ()
     if scale > 1e3:
-        with pytest.raises(ValueError, match=r"is ignored. The times may be microseconds$"):
+        match = "is ignored. The times may be microseconds. After a pause, another demonstration"
+        with pytest.raises(ValueError, match=match):
             monitor.observe(START, 0.1 * scale)
         return
     for step in range(1, 5):
@@ -75,6 +76,34 @@ def test_gaps_after_steps_of_the_model_are_no_other_unit() -> None:
     monitor.observe(START, 0.0)
     assert monitor.observe(START, 0.4).flags == ("gap",)
     assert monitor.observe(START, 100.0).flags == ("gap", "past the horizon")
+
+
+def seconds_apart(dt: float, times: list[float]) -> list[tuple[str, ...]]:
+    """The flags of states at these times, after one at 0, where a step of the model takes dt s."""
+    monitor = make_monitor(slow_evidence(record=make_record(dt=dt, num_steps=10_000)))
+    return [monitor.observe(START, time).flags for time in [0.0, *times]][1:]
+
+
+@pytest.mark.parametrize("apart", [0.3, 1.0, 3.0, 6.0])
+def test_a_slow_feed_has_gaps_and_no_other_unit(apart: float) -> None:
+    assert seconds_apart(0.02, [apart, 2.0 * apart, 3.0 * apart]) == [("gap",)] * 3
+
+
+@pytest.mark.parametrize(
+    ("dt", "number", "unit"),
+    [
+        (0.02, 1e3, "milliseconds"),
+        (0.1, 1e3, "milliseconds"),
+        (0.05, 1e6, "microseconds"),
+    ],
+)
+def test_the_unit_of_the_times_is_named(dt: float, number: float, unit: str) -> None:
+    """Also where states come a little faster or slower than steps of the model."""
+    for share in (0.5, 1.0, 1.4):
+        [flags] = seconds_apart(dt, [share * dt * number])
+        assert flags[:2] == ("gap", f"times of another unit: {unit}?")
+    [flags] = seconds_apart(dt, [5.0 * dt * number])
+    assert flags[:2] in {("gap",), ("gap", "past the horizon")}
 
 
 @pytest.mark.parametrize("rate", [0.2, 1.0, 5.0])

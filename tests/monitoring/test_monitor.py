@@ -210,6 +210,17 @@ def test_a_bad_time_changes_nothing(time, message: str) -> None:
     assert monitor.observe(START, 0.2).flags == ("repeated",)
 
 
+def test_after_a_long_pause_a_new_monitor_is_needed() -> None:
+    """No unit is told to whoever has given seconds."""
+    monitor = make_monitor()
+    monitor.observe(START, 0.0)
+    monitor.observe(START, 0.4)
+    for time in (510.0, 520.0):
+        with pytest.raises(ValueError, match=r"is ignored. After a pause, another demonst"):
+            monitor.observe(START, time)
+    assert make_monitor().observe(START, 0.0).flags == ()
+
+
 def test_the_time_of_a_clock_is_told_at_the_first_state() -> None:
     monitor = make_monitor()
     with pytest.raises(ValueError, match=r"These may be times since 1970: subtract the time of th"):

@@ -139,7 +139,7 @@ def test_noise_of_a_pendulum_at_rest_tells_no_rate(num: int) -> None:
         speed = omega + DT * (torque - 9.81 * np.sin(theta))
         return np.stack(np.broadcast_arrays(theta + DT * omega, speed), axis=-1)
 
-    before = np.random.default_rng(0).uniform(*space.bounds.T, (900, 2))
+    before = np.random.default_rng(0).uniform(space.bounds[:, 0], space.bounds[:, 1], (900, 2))
     motion = fit_motion(before, step(before[:, None], FORCES), space, DT)
     cells = grid(theta=(0.0, 6.2, 4), omega=(-4.0, 4.0, 3))
     record = make_record(space=space, goal_names=space.names, dt=DT, num_steps=60, hypotheses=cells)

@@ -18,7 +18,7 @@ import numpy as np
 from swerve.base.space import TWO_PI
 from swerve.constraints.base import violates
 from swerve.demonstrations.checks import COARSE, FAST, JITTER, START_TOLERANCE, TIME_SLACK
-from swerve.demonstrations.durations import likely_unit
+from swerve.demonstrations.durations import UNITS, unit_hint
 from swerve.evidence.evidence import Evidence
 from swerve.trust.motion_watch import MotionWatch
 
@@ -28,12 +28,15 @@ UNREACHABLE = "unreachable"
 REPEATED = "repeated"
 CONFLICTING = "another state at the same time"
 GAP = "gap"
-UNIT = "times of another unit, such as milliseconds"
+UNIT = "times of another unit"
 OVERTIME = "past the horizon"
 SHORT = "cut short"
 KNOWN = "in a known constraint"
 AGAINST = "against the dynamics"
 UNTIMED = "no times: another rate than the model's?"
+
+FINE = 1 / 3  # model steps between two states: times in which there were less are of no other unit
+SLOW_FEED = 4.0  # s between two states: slower feeds, of a model of shorter steps, are rare
 
 
 class StateChecks:
@@ -60,7 +63,7 @@ class StateChecks:
         self._jitter = (JITTER * space.extent).tolist()
         self._near_start = (START_TOLERANCE * space.unit).tolist()
         motion = evidence.motion
-        self._has_seconds = False  # whether steps of about the model's duration have come
+        self._has_seconds = False  # whether steps of the model, or of a slow feed, have come
         self._watch = None if motion is None else MotionWatch(motion, space)
 
     def of_first(self, values: list[float], now: float) -> tuple[str, ...]:
@@ -85,6 +88,11 @@ class StateChecks:
         is_short = self._is_timed and now < (1.0 - TIME_SLACK) * self._shortest
         return (SHORT,) if is_short else ()
 
+    def late_hint(self, elapsed: float, horizon: float) -> str:
+        """Return the end of a message about a state that comes far too long after the last [s]."""
+        hint = "" if self._has_seconds else unit_hint(elapsed, horizon)
+        return f"{hint}. After a pause, another demonstration begins: make a new monitor for it"
+
     def _of_step(self, values: list[float], elapsed: float, last: list[float]) -> list[str]:
         """Return the flags of the step from the last state to this one, in `elapsed` seconds."""
         if elapsed == 0.0:
@@ -107,15 +115,21 @@ class StateChecks:
     def _of_duration(self, elapsed: float) -> list[str]:
         """Return the flags of the duration of a step [s].
 
-        Once steps are about as long as the model's, the times are seconds, and what is longer is a
-        gap.
+        Once steps have come that are no longer than the model's, or than those of a slow feed, the
+        times are seconds, and what is longer is a gap. Until then, they are of the unit in which a
+        step is about one of the model.
         """
         dt = self._problem.dt
-        if elapsed <= COARSE * dt:
+        if elapsed <= max(COARSE * dt, SLOW_FEED):
             self._has_seconds = True
+        if elapsed <= COARSE * dt:
             return []
-        self._has_seconds = self._has_seconds or not likely_unit(elapsed, dt)
-        return [GAP] if self._has_seconds else [GAP, UNIT]
+        units = [
+            unit
+            for unit, number in UNITS.items()
+            if number > 1.0 and FINE * dt <= elapsed / number <= COARSE * dt
+        ]
+        return [GAP] if self._has_seconds or not units else [GAP, f"{UNIT}: {units[0]}?"]
 
     def _of_place(self, values: list[float], last: list[float], now: float) -> list[str]:
         """Return the flags of a state's place and time."""

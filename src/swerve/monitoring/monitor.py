@@ -29,7 +29,7 @@ import numpy as np
 from swerve.base.arguments import instance, number_or_nan
 from swerve.base.space import Task
 from swerve.demonstrations.checks import unit_problem
-from swerve.demonstrations.durations import first_time_hint, is_too_long, unit_hint
+from swerve.demonstrations.durations import first_time_hint, is_too_long
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.stepwise import stepwise
 from swerve.inference import likelihood
@@ -142,7 +142,7 @@ class Monitor:
           or in a known constraint; the state cannot be reached from the last state in the time
           between them; the state repeats the last state (which changes nothing) or contradicts it;
           more than a step and a half lies between the two states; the times seem to be of another
-          unit, since all states so far are far apart; the state is later than the model's horizon;
+          unit, in which the states are about a step apart; the state is later than the horizon;
           or the states move against the dynamics, perhaps at another rate if they have no times.
 
         Raises:
@@ -316,7 +316,7 @@ class Monitor:
         elapsed = now - self._time if self._state else now
         is_late = self._problem.is_timed and is_too_long(elapsed, horizon)
         if is_late or now >= LAST_HORIZON * horizon:
-            hint = unit_hint if self._state else first_time_hint
+            hint = self._checks.late_hint if self._state else first_time_hint
             raise ValueError(
                 f"time: expected seconds since the start of the task, got {now:g} s, where the "
                 f"horizon is {horizon:g} s; this state is ignored{hint(elapsed, horizon)}"

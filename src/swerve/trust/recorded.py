@@ -136,8 +136,8 @@ class Recording(NamedTuple):
 def goes_on(states: np.ndarray, space: StateSpace) -> bool:
     """Return whether a component of states [L, n] moves on, where noise goes back and forth.
 
-    At rest, each change of a noisy component tends to undo the one before, and so do changes between
-    means over windows of rows.
+    At rest, each change of a noisy component tends to undo the one before, and so does each change
+    of its means over windows of rows.
     """
     path = np.zeros(states.shape)
     path[1:] = np.cumsum(space.difference(states[:-1], states[1:]), axis=0)
