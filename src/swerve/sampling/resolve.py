@@ -93,9 +93,7 @@ def resolve(
             evidence = _resolved(nominal, evidence, alike, is_open, seed, deadline)
             keep(evidence)
             advance(int(alike[left].sum()))
-            left = left[~alike[left]]
-            if monotonic() >= deadline:
-                break
+            left = left[~alike[left] & (monotonic() < deadline)]
     return evidence
 
 
