@@ -59,6 +59,23 @@ def test_a_wrong_sign_and_swapped_columns_are_flagged_early(change, rate: float)
     assert first < 0.6 * len(found)
 
 
+def test_a_wrong_sign_is_flagged_on_a_short_way() -> None:
+    """Over a seventh of the bounds, in twenty steps."""
+    times = np.linspace(0.0, 1.0, 21)
+    way = np.stack([0.9 * times - 0.6, np.full(21, 0.9)], axis=1)
+    item = Demonstration("short", way, Task(way[0], way[-1]), times)
+    assert AGAINST not in seen(item)
+    assert AGAINST in seen(of_states(item, way * [1, -1]))
+
+
+@pytest.mark.parametrize("place", [3, 6, 17])
+def test_a_glitch_on_a_short_way_is_out_of_reach_alone(place: int) -> None:
+    times = np.linspace(0.0, 1.0, 21)
+    way = np.stack([0.9 * times - 0.6, np.full(21, 0.9)], axis=1)
+    way[place, 0] += 0.9
+    assert seen(Demonstration("short", way, Task(way[0], way[-1]), times)) == {UNREACHABLE}
+
+
 @pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
 def test_another_rate_is_flagged(factor: float) -> None:
     item = drive(5.0)

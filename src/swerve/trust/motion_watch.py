@@ -24,7 +24,8 @@ from swerve.demonstrations.checks import (
 )
 from swerve.evidence.motion import MOST_WAVES, STRAYING, Motion
 
-LEAST_SUM = 0.1  # share of the extent: shorter motions tell too little while noise is not known
+LEAST_SUM = 0.06  # share of the extent: shorter motions tell too little while noise is not known
+GLITCH = 2  # impossible steps in turn, out and back, that count as a glitch and not as motion
 LEAST_BAD = 2  # impossible sums of one component: a single one may be a glitch
 MEMORY = 0.95  # share of the usual error that stays with each step
 NOISE = 2.0  # times JITTER: what glitches must exceed at first, while noise is not known
@@ -87,9 +88,12 @@ class MotionWatch:
             bend = elapsed * (share * abs(turned) + straying * elapsed)
             error = abs(change - predicted)
             allowed = reach * elapsed + FAST * bend + jitter + USUAL_ERRORS * sums.usual
-            if error > allowed:
-                jumps.append(i)
             sums.usual = MEMORY * sums.usual + (1.0 - MEMORY) * min(error, allowed)
+            sums.jumps = sums.jumps + 1 if error > allowed else 0
+            if sums.jumps:
+                jumps.append(i)
+            if 0 < sums.jumps <= GLITCH:
+                continue
             sums.moved += change
             sums.predicted += predicted
             sums.slack += slack * elapsed + bend
@@ -109,12 +113,12 @@ class MotionWatch:
 class _Sums:
     """The motion of one component since the last comparison, and what was found so far."""
 
-    __slots__ = ("bad", "gone", "moved", "num_bad", "predicted", "slack", "usual")
+    __slots__ = ("bad", "gone", "jumps", "moved", "num_bad", "predicted", "slack", "usual")
 
     def __init__(self, usual: float) -> None:
         self.moved = self.predicted = self.slack = 0.0
         self.gone = self.bad = 0.0  # motion that was compared, and that was impossible
-        self.num_bad = 0
+        self.num_bad = self.jumps = 0  # `jumps`: impossible steps in turn, up to the last one
         self.usual = usual  # error of a step
 
     def compare(self, jitter: float) -> bool:
