@@ -49,6 +49,8 @@ def test_several_constraints_one_after_another(
     assert first["gain"] == pytest.approx(first["total_gain"] / 4)
     assert first["log_odds"] == pytest.approx(answer["none"]["log_bayes_factor"])
     assert second["standard_error"] > 0.0
+    size = answer["greedy_ended"].pop("effective_samples")
+    assert 1.0 < size <= 500.0
     assert answer["greedy_ended"] == {"why": "most", "threshold": 0.1, "next": None}
     status, out, _ = run(*arguments)
     assert status == 0

@@ -110,6 +110,7 @@ def test_odds_of_one_more_by_hand() -> None:
         (6 * 1 + 1 / (2 / 3)) / 8,
     ]
     assert [pick.hypothesis for pick in picks] == [5, 7, 8]
+    assert picks.effective_samples == pytest.approx(100.0)
     np.testing.assert_allclose([pick.log_odds for pick in picks], np.log(factors))
     assert picks[0].log_odds == pytest.approx(inference.log_bayes_factor)
     for asked in (greedy(inference), greedy(inference, odds=1.0)):
@@ -117,6 +118,7 @@ def test_odds_of_one_more_by_hand() -> None:
         assert asked[0].log_odds == pytest.approx(math.log(factors[0]))
         assert asked.following is not None
         assert (asked.ended, asked.following.hypothesis) == ("odds", 7)
+        assert asked.effective_samples == pytest.approx(200.0)
         assert asked.following.log_odds == pytest.approx(math.log(factors[1]))
     few = greedy(inference, odds=0.99 / factors[1])
     assert [pick.hypothesis for pick in few] == [5]

@@ -10,6 +10,7 @@ from swerve.constraints.boxes import Box
 from swerve.constraints.predicate import Predicate
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
+from swerve.inference.greedy import greedy
 from swerve.inference.posterior import Prior
 from swerve.presentation import sentences as wording
 
@@ -128,6 +129,17 @@ def test_what_asks_or_is_cut_has_no_full_stop() -> None:
     assert phrases.ended("not to be trusted") == "not to be trusted."
     assert phrases.ended("another unit?") == "another unit?"
     assert phrases.ended(phrases.cut("a long sentence", 6)) == "a lon…"
+
+
+@pytest.mark.parametrize(("num", "few"), [(1000, False), (100, True)])
+def test_picking_that_ended_by_few_trajectories_says_so(num: int, few: bool) -> None:
+    result = with_chances([0.1, 0.9, 0.1, 0.5], num)
+    picks = greedy(result, threshold=0.3)
+    assert [pick.hypothesis for pick in picks] == [3]
+    said = wording.ended(result, picks)
+    text = "only some 50 trajectories of a task avoid what is picked, too few to tell: raise "
+    assert said.endswith(f"{text}--samples") is few
+    assert ("too few" in said) is few
 
 
 def test_lines_do_not_break_inside_a_value() -> None:

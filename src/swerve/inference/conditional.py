@@ -13,6 +13,7 @@ Shapes: K tasks, N trajectories, H hypotheses, B = ceil(H / 8) bytes, M hypothes
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -42,6 +43,11 @@ class Conditional(Protocol):
     """
 
     log_ratio: np.ndarray
+
+    @property
+    def effective_samples(self) -> float:
+        """The least effective sample size of a task; infinite where answers are exact."""
+        ...
 
     def add(self, index: int) -> None:
         """Put one more hypothesis in force."""
@@ -103,6 +109,14 @@ class SampledConditional:
         self._is_counted = inference.is_counted
         self._avoiding: dict[int, Avoiding] = {}
         self.log_ratio = inference.evidence.log_ratio.copy()
+
+    @property
+    def effective_samples(self) -> float:
+        """Effective number of trajectories that avoid what is in force, the least of any task."""
+        sizes = self._evidence.effective_sample_size.tolist()
+        for k, avoiding in self._avoiding.items():
+            sizes[k] = avoiding.effective_samples
+        return float(min(sizes))
 
     def add(self, index: int) -> None:
         """Put one more hypothesis in force."""
@@ -182,6 +196,13 @@ class Avoiding:
         return np.log(np.maximum(avoid, self._resolution))
 
     @property
+    def effective_samples(self) -> float:
+        """The effective sample size of the trajectories that are left; 0 where none is."""
+        ancestor = self._evidence.samples.ancestor[self._task, self._rows]
+        log_weight = self._log_weight[self._rows]
+        return estimators.effective_sample_size(log_weight, ancestor) if len(self._rows) else 0.0
+
+    @property
     def _resolution(self) -> float:
         return self._evidence.resolution_among(self._task, self._rows)
 
@@ -210,6 +231,11 @@ class ExactConditional:
         self._nominal = nominal
         self._in_force: list[int] = []
         self.log_ratio = inference.evidence.log_ratio.copy()
+
+    @property
+    def effective_samples(self) -> float:
+        """Infinity: no samples are counted."""
+        return math.inf
 
     def add(self, index: int) -> None:
         """Put one more hypothesis in force."""

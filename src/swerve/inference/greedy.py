@@ -79,6 +79,8 @@ class Picks(list[Pick]):
         "exhausted" (no hypothesis that is left gains anything).
       following: the pick that would have been next; None after "most" and "exhausted".
       threshold: least gain of a pick that was asked for [nats per demonstration], or None.
+      effective_samples: effective sample size by which picking ended: of trajectories that avoid
+        the picks, the least of any task; infinite where answers are exact.
     """
 
     def __init__(
@@ -87,9 +89,11 @@ class Picks(list[Pick]):
         ended: Literal["most", "odds", "threshold", "exhausted"],
         following: Pick | None,
         threshold: float | None,
+        effective_samples: float,
     ) -> None:
         super().__init__(picks)
         self.ended, self.following, self.threshold = ended, following, threshold
+        self.effective_samples = effective_samples
 
 
 def greedy(
@@ -131,23 +135,24 @@ def greedy(
     log_prior_odds = _log_prior_odds(inference, odds)
     is_by_odds = threshold is None or odds is not None
     most = None if most is None else whole_number(most, "most", 1)
-    picks: list[Pick] = []
-    for pick in _candidates(inference, nominal, log_prior_odds):
+    ratios, picks = conditional(inference, nominal), list[Pick]()
+    ended, following = "exhausted", None
+    for pick in _candidates(inference, ratios, log_prior_odds):
         if threshold is not None and pick.gain < threshold:
-            return Picks(picks, "threshold", pick, threshold)
-        if is_by_odds and pick.log_odds < 0.0:
-            return Picks(picks, "odds", pick, threshold)
-        picks.append(pick)
-        if len(picks) == most:
-            return Picks(picks, "most", None, threshold)
-    return Picks(picks, "exhausted", None, threshold)
+            ended, following = "threshold", pick
+        elif is_by_odds and pick.log_odds < 0.0:
+            ended, following = "odds", pick
+        else:
+            picks.append(pick)
+            ended = "most" if len(picks) == most else ended
+        if ended != "exhausted":
+            break
+    return Picks(picks, ended, following, threshold, ratios.effective_samples)
 
 
-def _candidates(
-    inference: Ranking, nominal: ExactNominal | None, log_prior_odds: float
-) -> Iterator[Pick]:
+def _candidates(inference: Ranking, ratios: Conditional, log_prior_odds: float) -> Iterator[Pick]:
     """Yield the hypothesis of the largest gain, with those before it in force, until none gains."""
-    ratios, in_force = conditional(inference, nominal), InForce(inference)
+    in_force = InForce(inference)
     while (pick := _best(inference, in_force, ratios, log_prior_odds)) is not None:
         yield pick
         in_force.add(pick.hypothesis, pick.log_partition)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swerve.base.phrases import counted, cut, measured, plural, probability, times
+from swerve.evidence.estimators import LOW_ESS
 from swerve.evidence.evidence import Evidence
 from swerve.hypotheses.grid import GridHypotheses
 from swerve.inference.ranking import TIE_ERRORS, Ranking
@@ -118,9 +119,15 @@ def ended(inference: Ranking, picks: Picks) -> str:
     """Return why greedy selection ended, what would have come next, and what to give to go on."""
     if picks.ended == "most":
         return f"as many as asked for: {len(picks)}"
-    following = picks.following
+    following, few = picks.following, ""
+    if picks and picks.effective_samples < LOW_ESS:
+        few = (
+            f"; only some {picks.effective_samples:.0f} trajectories of a task avoid what is "
+            "picked, too few to tell: raise --samples"
+        )
     if following is None:
-        return f"no {'other ' if picks else ''}hypothesis explains anything{' more' * bool(picks)}"
+        other, more = ("other ", " more") if picks else ("", "")
+        return f"no {other}hypothesis explains anything{more}{few}"
     one, other, than = ("one more", "other ", "no more") if picks else ("one", "", "none")
     if picks.ended == "odds":
         why = f"{one} constraint, whichever it is, is less probable than {than}"
@@ -132,7 +139,7 @@ def ended(inference: Ranking, picks: Picks) -> str:
     return (
         f"{why}; next would be {short_hypothesis(inference, following.hypothesis)}, for "
         f"{following.total_gain:.2f} nats, {following.gain:.3f} per demonstration, at log odds "
-        f"{following.log_odds:.2f} (--threshold {_rounded_down(following.gain):g} picks it)"
+        f"{following.log_odds:.2f} (--threshold {_rounded_down(following.gain):g} picks it){few}"
     )
 
 

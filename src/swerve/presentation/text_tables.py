@@ -104,7 +104,12 @@ def picks_to_json(inference: Ranking, picks: Picks) -> dict[str, Any]:
     After "odds" and "threshold", the entry "next" is the pick that would have followed.
     """
     following = picks.following and _pick_to_json(inference, picks.following)
-    ended = {"why": picks.ended, "threshold": picks.threshold, "next": following}
+    ended = {
+        "why": picks.ended,
+        "threshold": picks.threshold,
+        "effective_samples": _finite(picks.effective_samples),
+        "next": following,
+    }
     return {"greedy": [_pick_to_json(inference, pick) for pick in picks], "greedy_ended": ended}
 
 
