@@ -136,18 +136,15 @@ def greedy(
     is_by_odds = threshold is None or odds is not None
     most = None if most is None else whole_number(most, "most", 1)
     ratios, picks = conditional(inference, nominal), list[Pick]()
-    ended, following = "exhausted", None
     for pick in _candidates(inference, ratios, log_prior_odds):
         if threshold is not None and pick.gain < threshold:
-            ended, following = "threshold", pick
-        elif is_by_odds and pick.log_odds < 0.0:
-            ended, following = "odds", pick
-        else:
-            picks.append(pick)
-            ended = "most" if len(picks) == most else ended
-        if ended != "exhausted":
-            break
-    return Picks(picks, ended, following, threshold, ratios.effective_samples)
+            return Picks(picks, "threshold", pick, threshold, ratios.effective_samples)
+        if is_by_odds and pick.log_odds < 0.0:
+            return Picks(picks, "odds", pick, threshold, ratios.effective_samples)
+        picks.append(pick)
+        if len(picks) == most:
+            return Picks(picks, "most", None, threshold, ratios.effective_samples)
+    return Picks(picks, "exhausted", None, threshold, ratios.effective_samples)
 
 
 def _candidates(inference: Ranking, ratios: Conditional, log_prior_odds: float) -> Iterator[Pick]:
