@@ -19,8 +19,11 @@ WORDS = "t|times?|(?:time)?stamps?|elapsed|clock|sec|secs|seconds?"
 SECONDS = "s|sec|secs|seconds?"
 SMALLER = "[mµun]s|(?:[mµun]|milli|micro|nano)sec(?:ond)?s?|millis|micros|nanos"
 OTHERS = rf"{SMALLER}|mins?|minutes?|h|hours?"
-TIME = re.compile(rf"(?:{WORDS})(?:[ _]*[\[(]?(?:{SECONDS})[\])]?)?", re.IGNORECASE)
-OTHER_TIME = re.compile(rf"(?:{WORDS})[ _]*[\[(]?(?:{OTHERS})[\])]?", re.IGNORECASE)
+TIME = re.compile(rf"%?(?:{WORDS})(?:[ _]*[\[(]?(?:{SECONDS})[\])]?)?", re.IGNORECASE)
+OTHER_TIME = re.compile(
+    rf"%?(?:[^.]+\.)*(?:{WORDS}|date(?:[ _]?time)?)(?:[ _.]*[\[(]?(?:{SECONDS}|{OTHERS})[\])]?)?",
+    re.IGNORECASE,
+)
 ALIKE = 0.75  # share of the letters that a misspelt name has in common with the name meant
 LEAST_LETTERS = 3  # of a name: shorter names are like many others
 MOST_SECONDS = 1e11  # since 1970 this is the year 5138: larger numbers are of another unit
