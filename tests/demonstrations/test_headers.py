@@ -165,6 +165,12 @@ def test_a_misspelt_action_is_told_and_a_misspelt_state_is_named(tmp_path: Path)
         ("torque", "temperature", False),
         ("force", "source", False),
         ("u", "ux", False),
+        ("steering_rate", "steering_angle", False),
+        ("acceleration", "deceleration", False),
+        ("acc_x", "acc_z", False),
+        ("heading_rate", "heading_rad", False),
+        ("velocity", "velocity_ref", False),
+        ("acc_x", "acc_X", True),
         ("dx", "ddx", False),
     ],
 )

@@ -40,6 +40,7 @@ RECORDING = re.compile(
 """
 
 UNIT = re.compile(r"[\[(][^\])]*[\])]")
+UNIT_WORDS = {"n", "nm", "m", "mm", "mps", "ms", "kmh", "rad", "deg", "rads", "s", "v", "pct"}
 
 
 def time_column(names: Sequence[str]) -> str | None:
@@ -107,18 +108,32 @@ def nearly(name: str, found: Sequence[str]) -> list[str]:
     """Return the names that may be a misspelt name.
 
     They differ from it by case, spaces, marks or a unit alone. Where there is no such name, it is
-    the most similar one, if that is similar enough.
+    the most similar one, if each of its words is similar enough: `acc_x` is not `acc_z`.
     """
     others = {other: _plain(other) for other in found if other != name}
     wanted = _plain(name)
     same = [other for other, plain in others.items() if plain == wanted]
     if same or len(wanted) < LEAST_LETTERS:
         return same
-    from difflib import SequenceMatcher  # here, since most files are read without it
-
-    likeness = {o: SequenceMatcher(None, wanted, plain).ratio() for o, plain in others.items()}
+    likeness = {other: _likeness(_words(name), _words(other)) for other in others}
     nearest = max(likeness, key=lambda other: likeness[other], default="")
     return [nearest] if likeness.get(nearest, 0.0) >= ALIKE else []
+
+
+def _likeness(wanted: list[str], found: list[str]) -> float:
+    """Return the likeness of the words that are least alike; 0 where one begins otherwise."""
+    from difflib import SequenceMatcher  # here, since most files are read without it
+
+    if len(found) == len(wanted) + 1 and found[-1] in UNIT_WORDS:
+        found = found[:-1]
+    if len(found) != len(wanted) or any(a[0] != b[0] for a, b in zip(wanted, found, strict=True)):
+        return 0.0
+    pairs = zip(wanted, found, strict=True)
+    return min((SequenceMatcher(None, *pair).ratio() for pair in pairs), default=0.0)
+
+
+def _words(name: str) -> list[str]:
+    return [word for word in re.split(r"[\W_]+", UNIT.sub("", name).casefold()) if word]
 
 
 def _plain(name: str) -> str:
