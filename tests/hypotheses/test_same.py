@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from support.synthetic import SPACE
 
-from swerve import ActionBox, Ball, Box, Occupancy, Predicate, StateAction, Union, grid
+from swerve import (
+    ActionBox,
+    Ball,
+    Box,
+    HalfSpace,
+    Occupancy,
+    Polygon,
+    Predicate,
+    StateAction,
+    Union,
+    grid,
+)
 from swerve.base.space import TWO_PI
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.same import same_as
@@ -25,6 +37,26 @@ def test_each_has_the_first_that_is_the_same() -> None:
         ]
     )
     assert same_as(hypotheses, SPACE).tolist() == [0, 1, 0, 3, 4, 4, 1]
+
+
+def test_numbers_may_be_scaled_and_corners_turned() -> None:
+    corners = [(0.0, 0.0), (2.0, 0.0), (1.0, 1.5)]
+    hypotheses = ConstraintHypotheses(
+        [
+            HalfSpace(1.0, x=1.0),
+            HalfSpace(-3.0, x=-3.0),
+            HalfSpace(2.0, x=2.0),
+            Box(x=(1.0, math.inf)),
+            HalfSpace(1.0, x=0.5, theta=-1.0),
+            HalfSpace(3.0, theta=-3.0, x=1.5),
+            HalfSpace(-1.0, x=-0.5, theta=1.0),
+            Polygon(corners, ("x", "theta")),
+            Polygon([corners[1], corners[2], corners[0]], ("x", "theta")),
+            Polygon(corners[::-1], ("x", "theta")),
+            Polygon([*corners[:2], (1.0, 1.0)], ("x", "theta")),
+        ]
+    )
+    assert same_as(hypotheses, SPACE).tolist() == [0, 1, 0, 0, 4, 4, 6, 7, 7, 7, 10]
 
 
 def on_the_left(states: Any) -> Any:

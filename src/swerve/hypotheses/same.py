@@ -6,6 +6,7 @@ Shapes: H hypotheses.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -15,6 +16,7 @@ from swerve.base.space import TWO_PI, StateSpace, is_full_turn
 from swerve.constraints.base import Constraint
 from swerve.constraints.boxes import Box
 from swerve.constraints.predicate import Predicate
+from swerve.constraints.shapes import HalfSpace
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 
@@ -48,10 +50,31 @@ def _key_of_part(constraint: Constraint, space: StateSpace) -> Any:
         return ("state_action", *(_key(c, space) for c in (constraint.states, constraint.actions)))
     if constraint.needs_code:  # which its JSON data do not hold
         return ("code", id(constraint))
+    if isinstance(constraint, HalfSpace):
+        return _key_of_half_space(constraint, space)
     data = constraint.to_json()
     if data.get("kind") == "occupancy":
         del data["name"]
+    if data.get("kind") == "polygon":
+        data["vertices"] = _in_order(data["vertices"])
     return json.dumps(_rounded(data), sort_keys=True)
+
+
+def _key_of_half_space(half: HalfSpace, space: StateSpace) -> Any:
+    """Return the key of a half-space, whose numbers may all be scaled; x >= a is a box as well."""
+    size = math.hypot(*half.normal.values())
+    normal = {name: factor / size for name, factor in half.normal.items()}
+    (name, factor), *others = normal.items()
+    if factor > 0.0 and not others:
+        return _key_of_part(Box(**{name: (half.offset / size, math.inf)}), space)
+    return ("half_space", _rounded(half.offset / size), *sorted(_rounded(normal).items()))
+
+
+def _in_order(vertices: list[list[float]]) -> list[list[float]]:
+    """Return vertices from the least one on, in the direction of the lesser of its neighbours."""
+    first = vertices.index(min(vertices))
+    forth = vertices[first:] + vertices[:first]
+    return min(forth, [forth[0], *reversed(forth[1:])])
 
 
 def _sides(box: Box, space: StateSpace) -> Iterator[tuple[Any, ...] | None]:
