@@ -67,6 +67,8 @@ def test_the_column_that_tells_them_apart_is_named(tmp_path: Path) -> None:
     )
     mixed = error_of(tmp_path / "b.csv", np.repeat(ONE, 2), id=np.tile([7, 9], 20))
     assert mixed.endswith(". The column id tells them apart")
+    named = error_of(tmp_path / "c.csv", np.repeat(ONE, 2), vehicle=np.tile(["red", "blue"], 20))
+    assert named.endswith(". The column vehicle tells them apart")
 
 
 @pytest.mark.parametrize(

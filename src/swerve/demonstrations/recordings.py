@@ -102,7 +102,7 @@ def _with_times(path: Path, table: Table) -> tuple[Table, str]:
     is_time = can_be_seconds(times) and (
         bool((np.diff(times) > 0.0).all())
         or _begin_alike(times)
-        or _telling_column(path, unread, times) != ""
+        or _telling_column(path, unread, times, table.names[0]) != ""
     )
     if not is_time:
         return table, "t"
@@ -136,7 +136,7 @@ def _check_recording(
     try:
         check_path(states, times, space, str(path), line_of=table.line_of, time_name=named)
     except SeveralRecordingsError as error:
-        name = "" if times is None else _telling_column(path, table.unread, times)
+        name = "" if times is None else _telling_column(path, table.unread, times, space.names[0])
         if not name:
             raise
         raise ValueError(f"{error}. The column {shown(name)} tells them apart") from error
@@ -246,20 +246,17 @@ def _filled(group: np.ndarray) -> np.ndarray:
     return group[known][np.maximum(np.searchsorted(known, np.arange(len(group)), "right") - 1, 0)]
 
 
-def _telling_column(path: Path, names: Sequence[str], times: np.ndarray) -> str:
-    """Return the column of numbers within whose values times strictly increase; '' if none does.
+def _telling_column(path: Path, names: Sequence[str], times: np.ndarray, state: str) -> str:
+    """Return the column within whose values times strictly increase; '' if none does.
 
     Args:
       path: the file.
       names: columns that may tell recordings apart.
       times: [L] times of the rows.
+      state: name of a state: a table has a column of numbers.
     """
     for name in filter(tells_recordings, names):
-        try:
-            values = read_table(path, [name]).values[:, 0]
-        except ValueError:  # no numbers
-            continue
-        found, group = np.unique(values, return_inverse=True)
+        found, group = _values(path, name, state)
         if not 1 < len(found) <= len(times) / 2:
             continue
         order = np.argsort(group, kind="stable")
