@@ -130,6 +130,14 @@ def test_divergence_takes_one_number_for_each_demonstration(values) -> None:
         divergence(PROBLEM, [], np.zeros(0))
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_log_partition_that_is_not_finite_is_refused(value: float) -> None:
+    with pytest.raises(
+        ValueError, match=r"log_partition: expected finite numbers, got \[(nan|inf)"
+    ):
+        divergence(PROBLEM, [ROUND], [value])
+
+
 class Recorded:
     """The same demonstrations of the cart as others would record them."""
 

@@ -102,7 +102,7 @@ def divergence(
       log_partition: [M] log Z_C of the task of each demonstration, nats.
 
     Raises:
-      ValueError: if there is not one log Z_C for each demonstration; or a demonstration lacks
+      ValueError: if there is not one finite log Z_C for each demonstration; or a demonstration lacks
         actions, takes more steps than the horizon, has a step that the MDP does not allow, or has a
         total reward that is not finite.
     """
@@ -115,6 +115,8 @@ def divergence(
             f"log_partition: expected one number for each of {len(demonstrations)} demonstrations, "
             f"log Z_C of its task, got shape {log_partition.shape}"
         )
+    if not np.isfinite(log_partition).all():
+        raise ValueError(f"log_partition: expected finite numbers, got {log_partition.tolist()}")
     taken = [steps_taken(problem, item) for item in demonstrations]
     log_measure = -math.log(problem.mdp.num_actions) if problem.measure == "uniform" else 0.0
     terms = [
