@@ -102,7 +102,7 @@ def divergence(
       log_partition: [M] log Z_C of the task of each demonstration, nats.
 
     Raises:
-      ValueError: if there is not one finite log Z_C for each demonstration; or a demonstration lacks
+      ValueError: if there is not one finite log Z_C a demonstration; or a demonstration lacks
         actions, takes more steps than the horizon, has a step that the MDP does not allow, or has a
         total reward that is not finite.
     """
