@@ -135,7 +135,7 @@ def test_a_log_partition_that_is_not_finite_is_refused(value: float) -> None:
     with pytest.raises(
         ValueError, match=r"log_partition: expected finite numbers, got \[(nan|inf)"
     ):
-        divergence(PROBLEM, [ROUND], [value])
+        divergence(PROBLEM, [ROUND], np.array([value]))
 
 
 class Recorded:
