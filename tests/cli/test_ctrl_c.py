@@ -97,6 +97,22 @@ def test_while_importing() -> None:
     assert 130 in statuses
 
 
+def test_while_python_ends() -> None:
+    """All is done by then, and the command has succeeded."""
+    code = (
+        "import os, signal, sys\n"
+        "from swerve.cli import start\n"
+        "class Late:\n"
+        "    def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):\n"
+        "        kill(pid, number)\n"
+        "late = Late()\n"
+        "sys.argv = ['swerve', '--version']\n"
+        "start.main()\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert (run.returncode, run.stderr) == (0, b"")
+
+
 def test_a_command_that_is_to_ignore_it_goes_on() -> None:
     """Such as one that a script began with &: the Ctrl-C is for the commands in front."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the command inherits

@@ -6,11 +6,15 @@ goes on ignoring it.
 
 from __future__ import annotations
 
+import atexit
+import signal
 import sys
 
 from swerve.base.interrupts import leave, listen, take
 
 take(leave)  # nothing has begun
+# registered first, so called last: Python lets SIGINT kill it while it ends, when all is done
+atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 
 def main() -> None:
