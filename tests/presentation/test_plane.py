@@ -138,6 +138,9 @@ class TestRectangles:
         box = Box(a=(low[0], low[0] + width[0]), b=(low[1], low[1] + width[1]))
         cells = grid(a=(0.0, TWO_PI, 4), b=(-np.pi, np.pi, 4))
         points = generator.uniform([0, -np.pi], [TWO_PI, np.pi], (300, 2))
+        away = points[:, None] - [low, low + width]  # a picture knows nothing of the resolution
+        away = np.abs(away - TWO_PI * np.round(away / TWO_PI)).min(axis=(1, 2))
+        points = points[away > 1e-4]
         shown = plane(cells, space=TORUS).rectangles(box)
         np.testing.assert_array_equal(covered(shown, points), box.contains(points, TORUS))
 
