@@ -40,6 +40,38 @@ def test_the_ends_of_texts_are_found(tmp_path: Path) -> None:
         json_text.check(b'["a\\\\", ' + b"[" * 200 + b', "b"')
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        r'{"\ud800": 1}',
+        r'["a\uDFFF"]',
+        r'["\\\ud800"]',
+        r'["\ude00\ud83d"]',
+        r'["\ud83d\ud83d\ude00"]',
+    ],
+)
+def test_half_a_character_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ValueError, match=r"\\u[dD]\w{3} is half a character"):
+        json_text.parse(text.encode())
+    path = tmp_path / "record.json"
+    with pytest.raises(ValueError, match="half a character"):
+        store.write_json(path, json.loads(text))
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    "text", [r'["\ud83d\ude00"]', r'["\\ud800"]', r'["\ud83d\ude00\\ud800"]', '["\U0001f600"]']
+)
+def test_whole_characters_are_kept(text: str) -> None:
+    assert json_text.parse(text.encode()) == json.loads(text)
+
+
+@pytest.mark.parametrize("data", [b'["\xed\xa0\x80"]', b'["\xff"]', '["a"]'.encode("utf-16")])
+def test_what_is_not_utf8_is_refused(data: bytes) -> None:
+    with pytest.raises(UnicodeDecodeError):
+        json_text.parse(data)
+
+
 def test_what_could_not_be_read_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

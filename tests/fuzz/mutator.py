@@ -92,7 +92,8 @@ def mutated_json(data: Any, random: Random) -> Any:
             other, place = random.choice(members)
             parent[key] = copy.deepcopy(other[place])
         elif kind == 3 and isinstance(value, int | float) and not isinstance(value, bool):
-            parent[key] = value * random.choice((-1, 0.5, 2, 1000, 10**9, 1e300))
+            factor = random.choice((-1, 0.5, 2, 1000, 10**9, 1e300))
+            parent[key] = value * (factor if abs(value) < 2**64 else -1)  # no float holds 10^309
         elif kind == 4 and isinstance(value, str):
             text = mutated(value.encode(), [value.encode()], random)
             parent[key] = text.decode("utf-8", "replace")

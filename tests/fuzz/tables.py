@@ -45,7 +45,8 @@ def second_reading(data: bytes) -> tuple[list[str], list[list[float]]] | None:
         ]
     except (UnicodeDecodeError, csv.Error):
         return None
-    header = [name.strip() for name in rows[0]] if rows else []
+    header = [name.strip() for name in rows[0]] if rows else [""]
+    header[0] = header[0].lstrip("#").strip()  # as NumPy writes it
     named = [name for name in header if name]
     if not set(NAMES) <= set(header) or len(set(named)) < len(named) or len(rows) < 2:
         return None

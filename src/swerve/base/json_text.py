@@ -14,6 +14,9 @@ MAX_DEPTH = 100  # brackets within brackets: far above a union of unions of cons
 
 _STRING = re.compile(rb'"[^"]*+"')
 _NO_MARK = bytes(set(range(256)) - set(b'[]{}"'))
+_HALF = rb"\\u[dD][%s][0-9a-fA-F]{2}"  # of a character beyond 16 bits, escaped
+_PAIR = re.compile(_HALF % b"89abAB" + _HALF % b"c-fC-F")
+_LONE = re.compile(_HALF % b"89a-fA-F")
 _OPENING = np.frombuffer(b"[{", np.uint8)
 
 
@@ -21,14 +24,17 @@ def parse(text: bytes) -> Any:
     """Return the data of JSON.
 
     Raises:
-      ValueError: if the text is no JSON, as RFC 8259 has it, or exceeds a limit.
+      ValueError: if the text is no JSON in UTF-8, as RFC 8259 has it, or exceeds a limit.
     """
     check(text)
-    return json.loads(text, parse_constant=_refuse)
+    return json.loads(text.decode(), parse_constant=_refuse)
 
 
 def check(text: bytes) -> None:
-    """Raise ValueError where JSON has more bytes, items or depth than a stored file may have."""
+    """Raise ValueError where JSON has more bytes, items or depth than a stored file may have.
+
+    Half a character of a text is refused as well: it has no UTF-8.
+    """
     if len(text) > MAX_BYTES:
         raise ValueError(f"more than {MAX_BYTES:,} bytes")
     num = max(sum(map(text.count, (b"[", b"{", b","))), sum(map(text.count, (b"]", b"}"))))
@@ -39,6 +45,8 @@ def check(text: bytes) -> None:
     change = 2 * np.isin(brackets, _OPENING).astype(np.int8) - 1
     if change.cumsum(dtype=np.int32).max(initial=0) > MAX_DEPTH:
         raise ValueError(f"nested more than {MAX_DEPTH} deep")
+    if _LONE.search(unescaped) and (half := _LONE.search(_PAIR.sub(b"", unescaped))):
+        raise ValueError(f"{half[0].decode()} is half a character")
 
 
 def _refuse(constant: str) -> NoReturn:
