@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,12 @@ from support.synthetic import make_evidence, make_record
 from swerve import ActionBox, infer, read_demonstrations
 from swerve.base.space import StateSpace, Task
 from swerve.demonstrations.demonstration import Demonstration
+from swerve.demonstrations.headers import (
+    names_recordings,
+    nearly,
+    notes_on_columns,
+    tells_recordings,
+)
 from swerve.hypotheses.base import ConstraintHypotheses
 
 SPACE = StateSpace(("x", "v"), (), np.array([[-3.0, 3.0], [-4.0, 4.0]]))
@@ -224,3 +231,15 @@ def test_infer_tells_the_notes() -> None:
     noted = dataclasses.replace(item, notes=("has no column t, and so on",))
     assert infer(evidence, [noted]).warnings[0] == "demo has no column t, and so on"
     assert "has no column t, and so on" not in infer(evidence, [item]).warnings
+
+
+@pytest.mark.parametrize("mark", ["[", "(", "m[", "(["])
+def test_a_long_name_of_brackets_takes_no_time(mark: str) -> None:
+    """In a tenth of a second, where the square of the length would take half a minute."""
+    name = mark * (40_000 // len(mark))
+    began = time.process_time()
+    assert nearly("goal_yaw", ["goal_yaw [rad]", name]) == ["goal_yaw [rad]"]
+    assert not tells_recordings(f"{name} min")
+    assert not names_recordings(name)
+    assert notes_on_columns([name], ["t"]) == ()
+    assert time.process_time() - began < 2.0

@@ -286,5 +286,5 @@ def test_who_has_to_enter_lies_a_hundred_nats_below_the_worst() -> None:
         float(adapted.value(jnp.array(state), jnp.array(1), goal))
         for state in ([0.62, 1.2], [-0.5, 0.0])
     )
-    assert floor <= doomed < floor + 60.0
+    assert floor - 1e-3 < doomed < floor + 60.0  # float32
     assert free > worst

@@ -17,7 +17,7 @@ from swerve.base import store
 from swerve.base.space import Task
 from swerve.evidence.evidence import Evidence
 from swerve.evidence.schema import StoredEvidence
-from swerve.work.folder import Reading, State, WorkFolder
+from swerve.work.folder import LONGEST_NAME, Reading, State, WorkFolder
 from swerve.work.settings import Settings
 from swerve.work.work import Work
 
@@ -64,6 +64,19 @@ def test_the_latest_solver_of_a_name_and_seed(written: WorkFolder) -> None:
     assert written.latest_solver("grid", 0) == SOLVER
     assert written.latest_solver("grid", 1) is None
     assert written.latest_solver("soft-value", 0) is None
+
+
+def test_settings_that_no_file_name_holds_are_refused(tmp_path: Path) -> None:
+    """The longest name of a result is one that a file system takes."""
+    folder = WorkFolder(tmp_path, "pendulum")
+    held, longer = (
+        Settings(f"grid?num_points={'9' * num}", 0, "importance", 10_000) for num in (150, 200)
+    )
+    folder.result_path("evidence", held).write_text("")
+    with pytest.raises(ValueError, match="fit in the name of a file, 230 characters, got 2"):
+        folder.result_path("evidence", longer)
+    for suffix in (".nominal", ".evidence", ".foresight", ".checkpoint", ".training.png"):
+        (tmp_path / ("n" * LONGEST_NAME + suffix)).write_text("")
 
 
 @pytest.mark.filterwarnings("ignore:training came no nearer to pi_0")  # a run this short

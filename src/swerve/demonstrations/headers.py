@@ -39,7 +39,7 @@ RECORDING = re.compile(
 `seq` numbers messages, and `objects` may be a count.
 """
 
-UNIT = re.compile(r"[\[(][^\])]*[\])]")
+UNIT = re.compile(r"[\[(][^\[(\])]*[\])]")
 UNIT_WORDS = {"n", "nm", "m", "mm", "mps", "ms", "kmh", "rad", "deg", "rads", "s", "v", "pct"}
 
 

@@ -44,6 +44,7 @@ from swerve.work.settings import Settings
 
 RESULTS = ("*.nominal", "*.evidence", "*.foresight", "*.checkpoint", "*.training.png")
 SAMPLED = ("evidence", "foresight")  # results that depend on the method and on N too
+LONGEST_NAME = 230  # bytes of a result's name before its suffix; file systems hold 255 in all
 FORMAT = 3  # of problem.json; increase it when its fields change
 
 
@@ -112,10 +113,18 @@ class WorkFolder:
           suffix: kind of the result, such as "nominal" or "evidence".
           settings: complete settings that the result was made with.
           method: method of sampling, in place of the settings' method.
+
+        Raises:
+          ValueError: if the settings of the solver are too long for the name of a file.
         """
         name = f"{quote(str(settings.solver), safe='=')}.seed{settings.seed}"
         if suffix in SAMPLED:
             name = f"{name}.{method or settings.method}.{settings.num_trajectories}"
+        if len(name) > LONGEST_NAME:
+            raise ValueError(
+                f"solver: expected settings that fit in the name of a file, {LONGEST_NAME} "
+                f"characters, got {len(name)}: {name[:60]}...; shorten them"
+            )
         return self.path / f"{name}.{suffix}"
 
     def latest_solver(self, name: str, seed: int | None) -> str | None:
