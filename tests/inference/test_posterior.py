@@ -19,6 +19,7 @@ from support.synthetic import (
     make_samples,
 )
 
+from swerve import Box, Problem, learn, sample, tabular
 from swerve.answer import infer
 from swerve.base.space import TWO_PI, Task
 from swerve.demonstrations.demonstration import Demonstration
@@ -188,6 +189,20 @@ class TestOfInference:
         np.testing.assert_array_equal(result.posterior.hypotheses, result.prior[1:])
         np.testing.assert_array_equal(result.posterior.error, 0.0)
         assert result.log_bayes_factor == 0.0
+
+    @pytest.mark.parametrize("prior", [0.0, [0.0, 0.0, 1.0], [0.0, 0.7, 0.3]])
+    def test_without_demonstrations_nothing_is_ruled_out(self, prior: Any) -> None:
+        """Nobody can avoid where the only trajectory leads, and nobody has been seen there."""
+        leads = tabular([[1], [1]], [[0.0], [0.0]], num_steps=1)
+        problem = Problem(leads, [Box(state=(0.5, 9.0)), Box(state=(-0.5, 9.0))])
+        result = infer(sample(learn(problem, "enumeration"), [Task([0.0], [])]), prior=prior)
+        assert result.struck_out.all()
+        assert not result.is_ruled_out
+        np.testing.assert_array_equal(result.posterior.hypotheses, result.prior[1:])
+        assert "none of these" not in result.belief
+        stated = json.loads(json.dumps(result.to_json()))
+        assert stated["none"]["posterior"] == 0.0
+        assert str(result)
 
     @pytest.mark.filterwarnings("error")
     def test_a_prior_of_certainty(self) -> None:

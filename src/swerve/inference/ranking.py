@@ -116,8 +116,13 @@ class Ranking(Scores):
 
     @property
     def is_ruled_out(self) -> bool:
-        """Whether every answer that the prior allows is ruled out: then there is no posterior."""
-        return not self.prior[0] and bool((self.struck_out | (self.prior[1:] == 0.0)).all())
+        """Whether every answer that the prior allows is ruled out: then there is no posterior.
+
+        Demonstrations alone rule out: before there are any, the posterior is the prior.
+        """
+        if self.prior[0] or not self.demonstrations:
+            return False
+        return bool((self.struck_out | (self.prior[1:] == 0.0)).all())
 
     @cached_property
     def posterior(self) -> Posterior:
