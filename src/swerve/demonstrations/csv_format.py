@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swerve.base.decimals import decimal_number
+from swerve.base.decimals import DECIMAL, decimal_number
 from swerve.demonstrations.tables import Table, file_content, select_columns
 
 PART = 2**18  # characters that NumPy reads at a time; more are no faster
@@ -153,7 +153,8 @@ def _parse_cells(
             cell = cells[place].strip(BLANKS)
             value = _number(cell)
             if value is None:
-                problem = f"{at}, column {name}: expected a number, got {reprlib.repr(cell)}"
+                wanted = "a number that a float can hold" if DECIMAL.fullmatch(cell) else "a number"
+                problem = f"{at}, column {name}: expected {wanted}, got {reprlib.repr(cell)}"
                 if cell or name not in optional:
                     raise ValueError(problem)
                 value, blank = math.nan, blank or problem
