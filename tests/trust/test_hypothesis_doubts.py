@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import tracemalloc
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from swerve import (
     Union,
     infer,
 )
-from swerve.base.space import TWO_PI
+from swerve.base.space import TWO_PI, StateSpace
 from swerve.hypotheses.base import ConstraintHypotheses
 from swerve.hypotheses.grid import grid
 from swerve.hypotheses.windows import windows
@@ -162,3 +164,34 @@ def test_infer_tells_them_with_and_without_demonstrations() -> None:
     assert any("hypotheses 0, 1 are the same set" in text for text in warnings)
     assert any("hypothesis 2: wholly outside the bounds of x" in text for text in warnings)
     assert not np.any(["the same set" in text for text in infer(make_evidence()).warnings])
+
+
+UTM = StateSpace(("x", "y"), (), np.array([[691_600.0, 691_620.0], [5_334_700.0, 5_334_720.0]]))
+
+
+@pytest.mark.parametrize(
+    ("hypotheses", "index"),
+    [
+        (grid(y=(5_334_700.0, 5_334_720.0, 50), x=(691_600.0, 691_620.0, 10)), 0),
+        (grid(y=(5e5, 5_334_720.0, 806_450), x=(691_600.0, 691_620.0, 2)), 1_232_448),
+        (windows(2, y=(5_334_700.0, 5_334_720.0, 0.4)), 0),
+        ([Box(x=(691_600.0, INF)), Ball(0.2, x=691_605.0, y=5_334_705.0)], 1),
+        ([Union("two", [Box(x=(0.0, 9.0)), Box(y=(5_334_701.0, 5_334_701.5))])], 0),
+    ],
+    ids=["grid", "far away", "windows", "ball", "union"],
+)
+def test_a_region_that_is_narrow_for_single_precision_is_told(hypotheses: Any, index: int) -> None:
+    """Half a metre lies between two numbers of float32 at 5,334,700."""
+    if isinstance(hypotheses, list):
+        hypotheses = ConstraintHypotheses(hypotheses)
+    (*_, text) = [text for text in hypothesis_warnings(hypotheses, UTM) if "precision" in text]
+    assert re.match(rf"hypothesis {index} is \S+ wide in y, at \d{{7}}(\.\d+)?: states are", text)
+    assert re.search(r"0\.5 apart there\. Count y from an origin nearby, such as \d{7}", text)
+
+
+def test_a_region_that_is_wide_enough_or_an_angle_is_not() -> None:
+    wide = ConstraintHypotheses([Box(y=(5_334_700.0, 5_334_710.0)), Box(y=(-INF, 5_334_704.0))])
+    assert not list(hypothesis_warnings(wide, UTM))
+    far = StateSpace(("x",), (), np.array([[-1e9, 1e9]]))  # bounds that say nothing
+    assert not list(hypothesis_warnings(grid(x=(-1.0, 1.0, 10)), far))
+    assert not said(Box(x=(1.0, 1.0 + 1e-4)), Box(theta=(1.0, 1.0 + 1e-9)))

@@ -1,7 +1,9 @@
-"""Give what is odd about the hypotheses themselves: the same set twice, or sets nobody comes to.
+"""Give what is odd about the hypotheses: the same set twice, sets nobody comes to, narrow ones.
 
 Each hypothesis has a share of the prior probability. Two that are the same set share what one of
-them should have alone; one outside the bounds can neither win nor lose by any demonstration.
+them should have alone; one outside the bounds can neither win nor lose by any demonstration. The
+edges of one that is narrow for float32, in which states are simulated, are not where they are said
+to be.
 
 Shapes: H hypotheses.
 """
@@ -22,11 +24,14 @@ from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import BoxHypotheses
 from swerve.hypotheses.same import same_as
 
+FEW_STEPS = 16  # steps of float32: a region less wide than this is coarse
+
 
 def hypothesis_warnings(hypotheses: HypothesisSet, space: StateSpace) -> Iterator[str]:
-    """Yield warnings about hypotheses that are the same, or lie wholly outside the bounds."""
+    """Yield warnings about hypotheses that are the same, outside the bounds, or too narrow."""
     if isinstance(hypotheses, ConstraintHypotheses):
         yield from _same(hypotheses, space)
+    yield from _coarse(hypotheses, space)
     found: dict[str, list[tuple[int, float, float]]] = {}
     for index, name, low, high in _outside(hypotheses, space):
         found.setdefault(name, []).append((index, low, high))
@@ -46,6 +51,42 @@ def _same(hypotheses: ConstraintHypotheses, space: StateSpace) -> Iterator[str]:
                 f"hypotheses {names} are the same set ({hypotheses.name(group[0])}), each with a "
                 f"share of the prior: together they count {len(group)} times. Keep one of them"
             )
+
+
+def _coarse(hypotheses: HypothesisSet, space: StateSpace) -> Iterator[str]:
+    """Yield a warning for each state in which float32 is coarse for a hypothesis."""
+    for name in space.names:
+        index, low, high = _spans(hypotheses, name)
+        if name in space.angles or not len(index):
+            continue
+        size = np.maximum(np.abs(low), np.abs(high))
+        spacing = np.spacing(size.astype(np.float32)).astype(float)
+        coarse = np.flatnonzero(high - low < FEW_STEPS * spacing)
+        if len(coarse):
+            at = coarse[0]
+            yield (
+                f"hypothesis {index[at]} is {high[at] - low[at]:.3g} wide in {name}, at "
+                f"{size[at]:.7g}: states are simulated in single precision, whose numbers are "
+                f"{spacing[at]:.2g} apart there. Count {name} from an origin nearby, such as "
+                f"{low[at]:.7g}, in the MDP, the hypotheses and the data"
+            )
+
+
+def _spans(hypotheses: HypothesisSet, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return indices, low and high ends [P] of hypotheses, or parts, that are finite in a state."""
+    if isinstance(hypotheses, BoxHypotheses):
+        edges = hypotheses.edges()
+        low, high = edges.get(name, (np.empty(0), np.empty(0)))
+        step = math.prod(hypotheses.shape[list(edges).index(name) + 1 :]) if name in edges else 1
+        return step * np.arange(len(low)), low, high
+    found = [
+        (index, *part.spans[name])
+        for index in range(len(hypotheses))
+        for part in hypotheses.constraint(index).parts
+        if name in part.spans and np.isfinite(part.spans[name]).all()
+    ]
+    columns = np.array(found, float).reshape(-1, 3).T
+    return columns[0].astype(int), columns[1], columns[2]
 
 
 def _outside(
