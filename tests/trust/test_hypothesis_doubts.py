@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.synthetic import SPACE, make_evidence, make_record
+from support.synthetic import SPACE, make_evidence, make_record, make_samples
 
 import swerve
 from swerve import (
@@ -195,3 +195,14 @@ def test_a_region_that_is_wide_enough_or_an_angle_is_not() -> None:
     far = StateSpace(("x",), (), np.array([[-1e9, 1e9]]))  # bounds that say nothing
     assert not list(hypothesis_warnings(grid(x=(-1.0, 1.0, 10)), far))
     assert not said(Box(x=(1.0, 1.0 + 1e-4)), Box(theta=(1.0, 1.0 + 1e-9)))
+
+
+def test_what_is_known_already_is_told_whatever_its_name() -> None:
+    half = HalfSpace(2.0, x=2.0)  # the states of x >= 1
+    known = (Box(x=(1.0, INF)), Ball(0.5, x=2.0))
+    hypotheses = ConstraintHypotheses([LEFT, half, Ball(0.5, x=2.1)])
+    record = make_record(hypotheses=hypotheses, known=known)
+    samples = make_samples(num_hypotheses=3)
+    texts = infer(make_evidence(record, samples)).warnings
+    (text,) = [text for text in texts if "known" in text]
+    assert text.startswith("hypothesis 1 is known already (x [1, inf)): nobody enters it")

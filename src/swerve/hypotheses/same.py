@@ -31,11 +31,11 @@ def same_as(hypotheses: HypothesisSet, space: StateSpace) -> np.ndarray:
     if not isinstance(hypotheses, ConstraintHypotheses):
         return np.arange(len(hypotheses))
     first: dict[Any, int] = {}
-    keys = (_key(constraint, space) for constraint in hypotheses.constraints)
+    keys = (set_key(constraint, space) for constraint in hypotheses.constraints)
     return np.array([first.setdefault(key, index) for index, key in enumerate(keys)])
 
 
-def _key(constraint: Constraint, space: StateSpace) -> Any:
+def set_key(constraint: Constraint, space: StateSpace) -> Any:
     """Return a key that is the same for constraints that are the same set."""
     return frozenset(_key_of_part(part, space) for part in constraint.parts)
 
@@ -47,7 +47,10 @@ def _key_of_part(constraint: Constraint, space: StateSpace) -> Any:
     if isinstance(constraint, Predicate):
         return ("predicate", id(constraint.function), constraint.num_points)
     if isinstance(constraint, StateAction):
-        return ("state_action", *(_key(c, space) for c in (constraint.states, constraint.actions)))
+        return (
+            "state_action",
+            *(set_key(c, space) for c in (constraint.states, constraint.actions)),
+        )
     if constraint.needs_code:  # which its JSON data do not hold
         return ("code", id(constraint))
     if isinstance(constraint, HalfSpace):

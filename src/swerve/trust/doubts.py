@@ -31,6 +31,7 @@ FACTOR = 2.0  # times the reach of nominal ends: an end beyond is odd
 
 def warnings(inference: Ranking) -> tuple[str, ...]:
     """Return warnings about the ranking; empty if there are none."""
+    problem = inference.evidence.problem
     return (
         *_exhausted(inference),
         *_left_out(inference),
@@ -38,9 +39,7 @@ def warnings(inference: Ranking) -> tuple[str, ...]:
         *_of_samples(inference),
         *(() if inference.evidence.is_exact else bounds.hardly_avoided(inference)),
         *_grazed(inference),
-        *hypothesis_warnings(
-            inference.evidence.problem.hypotheses, inference.evidence.problem.space
-        ),
+        *hypothesis_warnings(problem.hypotheses, problem.space, problem.known),
         *_doubts(inference),
     )
 

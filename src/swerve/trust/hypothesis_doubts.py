@@ -11,7 +11,7 @@ Shapes: H hypotheses.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -22,15 +22,18 @@ from swerve.constraints.shapes import HalfSpace
 from swerve.constraints.state_action import StateAction
 from swerve.hypotheses.base import ConstraintHypotheses, HypothesisSet
 from swerve.hypotheses.grid import BoxHypotheses
-from swerve.hypotheses.same import same_as
+from swerve.hypotheses.same import same_as, set_key
 
 FEW_STEPS = 16  # steps of float32: a region less wide than this is coarse
 
 
-def hypothesis_warnings(hypotheses: HypothesisSet, space: StateSpace) -> Iterator[str]:
-    """Yield warnings about hypotheses that are the same, outside the bounds, or too narrow."""
+def hypothesis_warnings(
+    hypotheses: HypothesisSet, space: StateSpace, known: Sequence[Constraint] = ()
+) -> Iterator[str]:
+    """Yield warnings about hypotheses that are the same, known, outside the bounds, or narrow."""
     if isinstance(hypotheses, ConstraintHypotheses):
         yield from _same(hypotheses, space)
+        yield from _known(hypotheses, space, known)
     yield from _coarse(hypotheses, space)
     found: dict[str, list[tuple[int, float, float]]] = {}
     for index, name, low, high in _outside(hypotheses, space):
@@ -50,6 +53,21 @@ def _same(hypotheses: ConstraintHypotheses, space: StateSpace) -> Iterator[str]:
             yield (
                 f"hypotheses {names} are the same set ({hypotheses.name(group[0])}), each with a "
                 f"share of the prior: together they count {len(group)} times. Keep one of them"
+            )
+
+
+def _known(
+    hypotheses: ConstraintHypotheses, space: StateSpace, known: Sequence[Constraint]
+) -> Iterator[str]:
+    """Yield a warning for each hypothesis that is a known constraint."""
+    names = {set_key(constraint, space): constraint.name for constraint in known}
+    for index, constraint in enumerate(hypotheses.constraints if names else ()):
+        name = names.get(set_key(constraint, space))
+        if name is not None:
+            yield (
+                f"hypothesis {index} is known already ({name}): nobody enters it, and no "
+                "demonstration can speak for it or against it. Leave it out, for it has a share "
+                "of the prior"
             )
 
 
