@@ -276,3 +276,16 @@ def test_an_interrupt_waits_while_results_are_saved(
     assert run.returncode == 130
     assert errors == ("interrupted\n" if is_kept else "")
     assert path.exists() == is_kept
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+def test_a_process_whose_log_is_full_ends_all_the_same() -> None:
+    code = "import time; from swerve.base.interrupts import leave, take; take(leave)\n"
+    code += "print('ready', flush=True); time.sleep(60.0)\n"
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full)
+    with run:
+        assert run.stdout is not None
+        run.stdout.readline()
+        run.send_signal(signal.SIGINT)
+        assert run.wait(timeout=30) == interrupts.STATUS

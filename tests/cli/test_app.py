@@ -5,12 +5,15 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from support.command import Run
 
 import swerve
 from swerve.cli import app as cli
+
+PENDULUM = Path(swerve.__file__).parent / "data" / "pendulum" / "demo_000.csv"
 
 
 def test_a_reader_that_stops_early_is_no_error(robot: str) -> None:
@@ -30,6 +33,24 @@ def test_a_closed_standard_error_puts_no_messages_on_the_output(
     monkeypatch.setattr(sys, "stderr", None)
     status, out, _ = run("infer", "pendulum", "--seed", -1)
     assert (status, out) == (1, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+def test_a_log_on_a_full_disk_loses_no_result(tmp_path: Path) -> None:
+    """The result comes, though no line of progress and no warning can be written."""
+    command = [sys.executable, "-m", "swerve", "infer", "pendulum", str(PENDULUM)]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*command, "--solver", "grid?num_points=21", "--samples", "100", "--no-resolve"],
+            stdout=subprocess.PIPE, stderr=full, text=True, check=False, timeout=300,
+        )  # fmt: skip
+    assert done.returncode == 0
+    assert "rank  index" in done.stdout
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*command, "--seed", "-1"], stdout=full, stderr=full, check=False, timeout=60
+        )
+    assert done.returncode == 1
 
 
 def test_importing_swerve_loads_nothing_heavy() -> None:

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 STATUS = 130  # of a command that Ctrl-C has ended: 128 + SIGINT
@@ -142,5 +142,6 @@ def _interrupt(number: int, frame: Any) -> None:
 def leave(number: int = 0, frame: Any = None) -> None:
     """End the process at once, where nothing has begun or everything is done; for `take`."""
     if sys.stderr is not None:  # else it is closed, and 2 may be any file by now
-        os.write(2, b"interrupted\n")
+        with suppress(OSError):  # of a log on a full disk
+            os.write(2, b"interrupted\n")
     os._exit(STATUS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -171,7 +172,8 @@ def say(text: str) -> None:
     """Print text to stderr; results alone go to stdout."""
     if sys.stderr is None:  # closed, as by 2>&-: `print` would take stdout
         return
-    print(shown_lines(text), file=sys.stderr)
+    with contextlib.suppress(OSError, ValueError):  # a log that is full or closed stops no work
+        print(shown_lines(text), file=sys.stderr, flush=True)
 
 
 def tell(result: object) -> None:
