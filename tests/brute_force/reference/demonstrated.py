@@ -40,7 +40,8 @@ def divergence(case: Case, log_partition: np.ndarray) -> float:
         reward, num = earned(case, recording)
         terms.append(value - case.beta * reward + offset * num)
         actions = case.paths[recording.task].actions[recording.path, :num]
-        keys.append((recording.task, tuple(actions.tolist())))
+        taken = case.world.actions[actions]  # by their values: two actions may be the same
+        keys.append((recording.task, taken.tobytes()))
     of_task, of_key = Counter(key[0] for key in keys), Counter(keys)
     shares = [math.log(of_key[key] / of_task[key[0]]) for key in keys]
     return float(np.mean(shares) + np.mean(terms))
