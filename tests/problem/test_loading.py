@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -34,6 +35,15 @@ class TestLoadProblem:
         assert type(problem.mdp).__name__ == "Cart"
         assert len(problem.hypotheses) == 3
         assert problem.beta == 0.5
+
+    @pytest.mark.parametrize("name", [b"rob\xff.py", b"rob\xff/robot.py"])
+    def test_a_path_that_is_no_text_is_refused(self, folder: Path, name: bytes) -> None:
+        """JAX keeps the file of each line that it compiles, and would end in std::bad_cast."""
+        path = folder / os.fsdecode(name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(ROBOT)
+        with pytest.raises(ValueError, match="expected a path in UTF-8, .* rename the file or fol"):
+            load_problem(f"{path}:problem")
 
     def test_a_function_in_a_file(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(folder)

@@ -190,6 +190,12 @@ def _load_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ValueError(f"{path}: no such file")
     path = path.resolve()
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise ValueError(
+            f"{path}: expected a path in UTF-8, which JAX needs for code: rename the file or folder"
+        ) from None
     _check_neighbours(path)
     imports.check_names(str(path), str(path.parent))
     # a name that neither an installed module nor a file of this name in another folder can have
