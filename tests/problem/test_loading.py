@@ -42,7 +42,9 @@ class TestLoadProblem:
         path = folder / os.fsdecode(name)
         path.parent.mkdir(exist_ok=True)
         path.write_text(ROBOT)
-        with pytest.raises(ValueError, match="expected a path in UTF-8, .* rename the file or fol"):
+        with pytest.raises(
+            ValueError, match=r"expected a path in UTF-8, .* rename the file or fol"
+        ):
             load_problem(f"{path}:problem")
 
     def test_a_function_in_a_file(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
