@@ -41,8 +41,8 @@ LOCKED := $(PIP) install --require-hashes --only-binary :all: -r
 SLOW_TESTS := benchmarks fuzz brute_force cli demonstrators fitting kill monitoring reproduce sampling solvers whole work \
 	evidence/test_at_beta.py evidence/test_stored_before.py
 
-# Most of the time of the tests goes into compiling, of which this way of XLA takes half as long; the
-# numbers are the same but for rounding. `make verify` and `make kill` compile as users do.
+# Most of the time of the tests goes into compiling, and this way of XLA compiles sooner; the numbers
+# are the same but for rounding. `make verify` and `make kill` compile as users do.
 test test-fast: export XLA_FLAGS := --xla_cpu_use_fusion_emitters=false $(XLA_FLAGS)
 
 # Silences the advertisement that mkdocs-material prints for MkDocs 2; it is not a warning of ours.

@@ -208,7 +208,8 @@ def test_learned_foresight() -> None:
     truth = answer(case)
     nominal = learn(problem_of(case), grid_of(case))
     evidence = sample(nominal, tasks_of(case), NUM, seed=seed)
-    foresight = foresee(nominal, evidence, num_trajectories=4000, num_updates=6000, seed=seed)
+    # 6,000 updates leave an error of 0.16 at the end of an unlikely way, these 0.09
+    foresight = foresee(nominal, evidence, num_trajectories=40_000, num_updates=40_000, seed=seed)
     task = tasks_of(case)[0]
     paths = case.paths[0]
     for row in np.random.default_rng(0).choice(len(paths.reward), 4, replace=False):
